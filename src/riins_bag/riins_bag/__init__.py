@@ -1,0 +1,1 @@
+"""Recording, reading, recovering and playing of rosbag2/MCAP bags. ROS lives in `nodes/` alone."""

@@ -1,0 +1,1 @@
+"""The node graph as data, the live launcher and the `riins` command line."""

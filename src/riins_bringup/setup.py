@@ -1,0 +1,29 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "riins_bringup"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "*.html", "*.css", "*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in ("launch", "config", "scenarios")),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="RIINS developers",
+    maintainer_email="riins@example.org",
+    description="The node graph as data, launch files, live launcher, parameters, scenarios and the riins command.",
+    license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "riins = riins_bringup.cli:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Offline engine, importers, metrics, report and studies. No ROS here."""

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+NAME = "riins_fdi"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "*.html", "*.css", "*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="RIINS developers",
+    maintainer_email="riins@example.org",
+    description="Fault detection for everything: parity space, innovation tests, one health machine.",
+    license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
+)

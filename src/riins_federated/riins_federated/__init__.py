@@ -1,0 +1,1 @@
+"""The federated navigation filter. ROS lives in `node.py` alone."""

@@ -1,0 +1,1 @@
+"""Fusion of redundant single-axis inertial sensors. ROS lives in `node.py` alone."""

@@ -1,0 +1,26 @@
+from setuptools import find_packages, setup
+
+NAME = "riins_imu_fusion"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "*.html", "*.css", "*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="RIINS developers",
+    maintainer_email="riins@example.org",
+    description="Fusion of redundant single-axis inertial sensors with fault detection, isolation and return.",
+    license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "imu_fusion = riins_imu_fusion.node:main",
+        ],
+    },
+)

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+NAME = "riins_node"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["py.typed", "*.html", "*.css", "*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="RIINS developers",
+    maintainer_email="riins@example.org",
+    description="What every node shares: parameters from settings classes, running, QoS profiles, message conversion.",
+    license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
+)

@@ -1,0 +1,1 @@
+"""The simulated ship and its sensors. ROS lives in `nodes/` alone."""
