@@ -59,7 +59,7 @@ class HealthConfig:
     clear_count: int = setting(3, "passed tests in a row that clear a suspect", "", 1, 1_000_000)
     hold_s: float = setting(5.0, "isolated at least this long before probation may begin", "s", 0.0, 1e6)
     hold_after_failure: bool = setting(False, "count the hold from the last failed test instead of from the isolation")
-    hold_growth: float = setting(2.0, "each relapse from probation makes the hold this much longer, so that a fault near the threshold does not flap", "", 1.0, 100.0)
+    hold_growth: float = setting(2.0, "each relapse from probation makes the hold this much longer: no flapping", "", 1.0, 100.0)
     hold_max_s: float = setting(600.0, "longest hold, unless hold_s is longer", "s", 0.0, 1e6)
     probation_count: int = setting(1, "passed tests in a row on probation before the return", "", 1, 1_000_000)
     probation_s: float = setting(10.0, "probation lasts at least this long", "s", 0.0, 1e6)
@@ -99,9 +99,10 @@ class HealthMachine:
 
     Notes
     -----
-    HEALTHY -> SUSPECT at the first failed test -> ISOLATED after `isolate_count` of them within `isolate_s` -> PROBATION at the first passed test after
-    the hold -> HEALTHY after `probation_count` passed tests in a row that span `probation_s`; a failed one goes back to ISOLATED with a longer hold.
-    A suspect's failed tests are forgotten after `clear_count` passed ones in a row (hysteresis). EXCLUDED is left by `restore` alone, through PROBATION.
+    HEALTHY -> SUSPECT at the first failed test -> ISOLATED after `isolate_count` of them that span `isolate_s` -> PROBATION at the first
+    passed test after the hold -> HEALTHY after `probation_count` passed tests in a row that span `probation_s`; a failed one goes back to
+    ISOLATED with a longer hold. A suspect's failed tests are forgotten after `clear_count` passed ones in a row (hysteresis).
+    EXCLUDED is left by `restore` alone, through PROBATION.
     The machine is pure: the same steps give the same states, and `snapshot`/`restore_snapshot` take it back to any earlier moment.
     """
 
