@@ -1,0 +1,197 @@
+"""What a message says, as plain numbers in the frames of the algorithms: NED, FRD, radians, nanoseconds.
+
+Lives here: one `read_*` function per message a consumer takes. They read attributes, so a rclpy message and a rosbags one give the same
+numbers, bit for bit: live and offline use these functions alone (law 2 of the architecture).
+Does not live here: anything that imports ROS, the way out (fields.py), judgement of the values (the algorithms).
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_core import frames
+
+Array = NDArray[np.float64]
+STATUS_FIX = 0
+
+
+class RedundantImuSample(TypedDict):
+    """gyro, accel: (n,) along the sensor axes, rad/s and m/s^2."""
+
+    stamp_ns: int
+    sequence: int
+    gyro: Array
+    accel: Array
+    gyro_valid: int
+    accel_valid: int
+
+
+class FusedImuSample(TypedDict):
+    """rate, force: (3,) FRD, rad/s and m/s^2."""
+
+    stamp_ns: int
+    sequence: int
+    rate: Array
+    force: Array
+    gyro_used: int
+    accel_used: int
+
+
+class AidReading(TypedDict):
+    """z, R, ok as in riins_federated.types.Aid."""
+
+    stamp_ns: int
+    z: Array
+    R: Array
+    ok: bool
+
+
+def to_ns(stamp: Any) -> int:
+    """Integer nanoseconds of a builtin_interfaces/Time or Duration."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def read_redundant_imu(msg: Any) -> RedundantImuSample:
+    """Read riins_msgs/RedundantImu; the axes are the sensors', no frame is turned."""
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "sequence": int(msg.sequence),
+        "gyro": np.array(msg.gyro, np.float64),
+        "accel": np.array(msg.accel, np.float64),
+        "gyro_valid": int(msg.gyro_valid),
+        "accel_valid": int(msg.accel_valid),
+    }
+
+
+def read_fused_imu(msg: Any) -> FusedImuSample:
+    """Read riins_msgs/FusedImu: FLU becomes FRD."""
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "sequence": int(msg.sequence),
+        "rate": frames.frd_from_flu(_vector(msg.angular_velocity)),
+        "force": frames.frd_from_flu(_vector(msg.linear_acceleration)),
+        "gyro_used": int(msg.gyro_used),
+        "accel_used": int(msg.accel_used),
+    }
+
+
+def read_position_aid(msg: Any) -> AidReading:
+    """Read sensor_msgs/NavSatFix.
+
+    Returns
+    -------
+    z : latitude, longitude [rad], height [m]; R : (3, 3) NED m^2, zeros when unknown; ok : the sensor has a fix
+    """
+    known = int(msg.position_covariance_type) != 0
+    covariance = np.array(msg.position_covariance, np.float64).reshape(3, 3) if known else np.zeros((3, 3))
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "z": np.array([np.radians(msg.latitude), np.radians(msg.longitude), msg.altitude], np.float64),
+        "R": frames.ned_from_enu_covariance(covariance),
+        "ok": int(msg.status.status) >= STATUS_FIX,
+    }
+
+
+def read_velocity(msg: Any) -> AidReading:
+    """Read the GNSS velocity, geometry_msgs/TwistWithCovarianceStamped in ENU: z NED m/s, R (3, 3) NED, zeros when unknown."""
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "z": frames.ned_from_enu(_vector(msg.twist.twist.linear)),
+        "R": frames.ned_from_enu_covariance(_linear_covariance(msg)),
+        "ok": True,
+    }
+
+
+def read_doppler(msg: Any) -> AidReading:
+    """Read the log, geometry_msgs/TwistWithCovarianceStamped in FLU: z forward, starboard, down m/s (NaN stays), R (3, 3) FRD, zeros when unknown."""
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "z": frames.frd_from_flu(_vector(msg.twist.twist.linear)),
+        "R": frames.frd_from_flu_covariance(_linear_covariance(msg)),
+        "ok": True,
+    }
+
+
+def read_initial_state(msg: Any) -> dict[str, Any]:
+    """Read riins_msgs/InitialState: the arguments of riins_federated.types.InitialState by name."""
+    size = len(msg.covariance)
+    covariance = None
+    if size:
+        side = round(size**0.5)
+        covariance = np.array(msg.covariance, np.float64)
+        covariance = covariance.reshape(side, side) if side * side == size else covariance  # a wrong length is refused by its consumer
+    sigmas = ("sigma_position", "sigma_velocity", "sigma_attitude", "sigma_gyro_bias", "sigma_accel_bias")
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "lat": float(np.radians(msg.latitude)),
+        "lon": float(np.radians(msg.longitude)),
+        "h": float(msg.height),
+        "v_n": np.array([msg.velocity_north, msg.velocity_east, msg.velocity_down], np.float64),
+        "rph": np.array([msg.roll, msg.pitch, msg.heading], np.float64),
+        **{name: np.array(getattr(msg, name), np.float64) for name in sigmas},
+        "covariance": covariance,
+        "source": str(msg.source),
+    }
+
+
+def read_nav_state(msg: Any) -> dict[str, Any]:
+    """Read riins_msgs/NavState.
+
+    Returns
+    -------
+    dict with stamp_ns, sequence, mode, validity (3,), lat, lon [rad], h [m], v_n (3,), rph (3,), rate_b (3,), bias_g (3,), bias_a (3,), sigma_position (3,),
+    sigma_velocity (3,), sigma_rph (3,), protection_radius, reset_count, reset (3,)
+    """
+
+    def triple(stem: str, suffixes: str) -> Array:
+        return np.array([getattr(msg, f"{stem}{suffix}") for suffix in suffixes.split()], np.float64)
+
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "sequence": int(msg.sequence),
+        "mode": int(msg.mode),
+        "validity": (int(msg.position_validity), int(msg.velocity_validity), int(msg.heading_validity)),
+        "lat": float(np.radians(msg.latitude)),
+        "lon": float(np.radians(msg.longitude)),
+        "h": float(msg.height),
+        "v_n": triple("velocity_", "north east down"),
+        "rph": triple("", "roll pitch heading"),
+        "rate_b": triple("rate_", "x y z"),
+        "bias_g": triple("gyro_bias_", "x y z"),
+        "bias_a": triple("accel_bias_", "x y z"),
+        "sigma_position": triple("sigma_", "north east down"),
+        "sigma_velocity": triple("sigma_velocity_", "north east down"),
+        "sigma_rph": triple("sigma_", "roll pitch heading"),
+        "protection_radius": float(msg.protection_radius),
+        "reset_count": int(msg.reset_count),
+        "reset": triple("reset_", "position velocity heading"),
+    }
+
+
+def read_fault(msg: Any, start_at_ns: int = 0) -> dict[str, Any]:
+    """Read riins_msgs/Fault: the arguments of riins_sim.faults.Fault by name, times counted from `start_at_ns`.
+
+    A start of zero (from the next sample on) is given back as None; an end of zero (until cleared) as None.
+    """
+    start, end = to_ns(msg.start), to_ns(msg.end)
+    return {
+        "target": str(msg.target),
+        "type": int(msg.type),
+        "size": float(msg.size),
+        "slope": float(msg.slope),
+        "axis": str(msg.axis) or "all",
+        "start_ns": start - start_at_ns if start else None,
+        "end_ns": end - start_at_ns if end else None,
+    }
+
+
+def _vector(v: Any) -> Array:
+    return np.array([v.x, v.y, v.z], np.float64)
+
+
+def _linear_covariance(msg: Any) -> Array:
+    covariance = np.array(msg.twist.covariance, np.float64).reshape(6, 6)[:3, :3]
+    return np.zeros((3, 3)) if covariance[0, 0] == -1.0 else covariance
