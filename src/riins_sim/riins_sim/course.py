@@ -14,10 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from riins_core.sensor_errors import KNOT
 from riins_core.settings import SettingError, setting
-
-KNOT = 1852.0 / 3600.0
-"""m/s."""
 
 _STRAIGHT, _TURN, _SPEED = 0.0, 1.0, 2.0
 _PEAK_OF_SMOOTHSTEP = 15.0 / 8.0

@@ -80,7 +80,7 @@ def _radius_slopes(lat: float, r_m: float, r_n: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True)
 def _knot(p: int, length: float, h0: float, path: Array, course: Array, waves: Array, heel: float, scratch: Array, knot: Array) -> None:
-    """Coordinates at panel end p: rows latitude and longitude beyond `path` [rad], height [m], roll, pitch, heading [rad]; value, first, second derivative."""
+    """Coordinates at panel end p: latitude, longitude beyond `path` [rad], height [m], roll, pitch, heading [rad]; value, two derivatives."""
     t = p * length
     heading, r, r1, r2, speed, acceleration = course_at(t, course)
     ch, sh = math.cos(heading), math.sin(heading)
@@ -199,7 +199,7 @@ def truth_kernel(t: Array, length: float, h0: float, path: Array, course: Array,
     scratch, q = np.zeros((8, 6)), np.zeros((6, 3))
     current = -1
     for i in range(t.shape[0]):
-        p = min(max(int(math.floor(t[i] / length)), 0), path.shape[0] - 2)
+        p = min(max(math.floor(t[i] / length), 0), path.shape[0] - 2)
         if p != current:
             _knot(p, length, h0, path, course, waves, heel, scratch, first)
             _knot(p + 1, length, h0, path, course, waves, heel, scratch, second)

@@ -1,7 +1,7 @@
 """The voyage as it truly is: position, velocity, attitude at any time, and exactly the IMU increments that belong to them.
 
-Lives here: `Trajectory`, `Truth`. Between knots of about 0.1 s the truth *is* a quintic polynomial in latitude, longitude, height, roll, pitch and heading,
-twice continuously differentiable; velocity, body rate and specific force are its exact kinematics, so nothing is lost between what is said and what is sensed.
+Lives here: `Trajectory`, `Truth`. Between knots 0.1 s apart the truth *is* a quintic polynomial in position and roll, pitch, heading, twice continuously
+differentiable; velocity, body rate and specific force are its exact kinematics, so nothing is lost between what is said and what is sensed.
 Does not live here: the kernels (kinematics.py), the ship (course.py, vessel.py), errors of sensors (sensors.py).
 """
 
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core.earth import STANDARD_GRAVITY
+from riins_core.sensor_errors import KNOT
 
-from .course import KNOT, segments
+from .course import segments
 from .kinematics import COLUMNS, increment_kernel, integrate_course, truth_kernel
 from .vessel import response_table
 from .waves import WaveField

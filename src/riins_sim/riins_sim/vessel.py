@@ -1,6 +1,6 @@
 """How the hull answers: roll, pitch, yaw, heave, surge and sway in waves, and heel in a turn.
 
-Lives here: `VesselSettings`, `response_table` (answer of the hull to each wave component), the kernel `motion` (the six motions with two derivatives).
+Lives here: `VesselSettings`, `response_table` (its answer to each wave component), the kernel `motion` (six motions with two derivatives).
 Does not live here: the waves (waves.py), the course (course.py), position and attitude (trajectory.py).
 """
 
@@ -13,7 +13,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.earth import STANDARD_GRAVITY
 from riins_core.settings import setting
 
 from .waves import WaveField
@@ -47,8 +46,8 @@ def response_table(field: WaveField, vessel: VesselSettings) -> Array:
 
     Returns
     -------
-    (n, 13): omega [rad/s], k cos and k sin of the direction [rad/m], cos and sin of the direction, phase [rad], then amplitudes of heave [m], surge [m],
-    sway [m], pitch [rad], yaw [rad], roll [rad] times the cosine and times the sine of its phase lag
+    (n, 13): omega [rad/s], k cos and k sin of the direction [rad/m], cos and sin of the direction, phase [rad], then amplitudes of heave,
+    surge, sway [m], pitch, yaw [rad], and roll [rad] times the cosine and times the sine of its phase lag
 
     Notes
     -----
@@ -88,7 +87,7 @@ def motion(t: float, place: Array, course: Array, table: Array, out: Array) -> N
     place : (6,), north, east of the start [m], and first and second derivatives, of the ship without waves
     course : (3,), heading [rad], turn rate [rad/s] and its derivative [rad/s^2], without waves
     table : (n, 13), from `response_table`
-    out : (6, 3), written: roll, pitch, yaw [rad], heave (up), surge, sway [m] along and across the heading without waves; value, first, second derivative
+    out : (6, 3), written: roll, pitch, yaw [rad], heave (up), surge, sway [m] along and across the heading without waves; value, two derivatives
 
     Notes
     -----
