@@ -96,6 +96,7 @@ class Graph:
     wall_stamps : stamps are wall-clock times, so that a latency can be measured against the clock
     namespace : of all nodes
     configuration : text of `/riins/configuration`
+    score_from_s : errors count from this long after the start [s]
     """
 
     nodes: tuple[NodeSpec, ...]
@@ -106,6 +107,7 @@ class Graph:
     wall_stamps: bool = False
     namespace: str = ""
     configuration: str = ""
+    score_from_s: float = 0.0
 
     def of(self, *roles: str) -> tuple[NodeSpec, ...]:
         """Nodes of the given roles, in order."""
@@ -185,7 +187,7 @@ def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
     text = scenario.to_yaml()
     for name, publishes in _sources(scenario).items():
         nodes.append(_spec(settings, "riins_sim", name, "source", common, files={"scenario": text}, publishes=publishes))
-    return Graph(tuple(nodes), scenario.name, scenario.duration_s, settings.rate, start_at_ns, True, settings.namespace, configuration)
+    return Graph(tuple(nodes), scenario.name, scenario.duration_s, settings.rate, start_at_ns, True, settings.namespace, configuration, scenario.scoring.from_s)
 
 
 def replay_graph(settings: GraphSettings) -> Graph:

@@ -77,6 +77,15 @@ def node_environment(directory: Path, environment: Mapping[str, str] = os.enviro
     return result
 
 
+def choose_network(beyond: bool) -> None:
+    """Set this process's environment for discovery: this machine alone, or the subnet when `beyond`."""
+    if not beyond:
+        return
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+    if os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "").endswith("fastdds_loopback.xml"):
+        del os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]
+
+
 class Processes:
     """The running nodes of one graph.
 

@@ -1,0 +1,368 @@
+"""The command `riins`: verbs that call the packages below and print what they give.
+
+Lives here: arguments, help, exit status (0 success, 1 bad result, 2 bad use), one-line errors.
+Does not live here: any logic of its own; heavy imports stay inside the verbs, so that help comes at once.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+OK, BAD_RESULT, BAD_USE = 0, 1, 2
+
+# by name: importing the classes would import what raises them
+_USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "FileNotFoundError", "FileExistsError",
+                "IsADirectoryError", "NotADirectoryError", "PermissionError"}  # fmt: skip
+_FAILURES = {"GraphError"}
+
+app = typer.Typer(
+    name="riins",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Redundant inertial navigation with fault isolation for ships: live over ROS 2, offline, or on recorded data.\n\n"
+    "Example: [bold]riins up harbour --record out/harbour[/bold] runs the graph live, [bold]riins report out/harbour[/bold] draws what happened.",
+)
+bag_app = typer.Typer(no_args_is_help=True, help="Look into, repair and play bags.\n\nExample: [bold]riins bag info out/harbour[/bold]")
+app.add_typer(bag_app, name="bag")
+
+
+class Record(enum.StrEnum):
+    """What an offline run writes to its bag."""
+
+    none = "none"
+    nav = "nav"
+    raw = "raw"
+    all = "all"
+
+
+ScenarioArgument = Annotated[str, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")]
+BagArgument = Annotated[Path, typer.Argument(help="bag directory", metavar="BAG")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file, as documented in docs/json.md", metavar="FILE")]
+TwinsOption = Annotated[bool | None, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too (default: where it is cheap)")]
+
+
+@app.command()
+def geometry(
+    file: Annotated[Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row (blanks or commas, # comments)", metavar="[FILE]")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the figures to this file", metavar="FILE")] = None,
+) -> int:
+    """Figures of merit of sensor geometries: the thesis' tables 2.1 to 2.3, or those of your own n x 3 file.
+
+    Example: [bold]riins geometry[/bold] or [bold]riins geometry my_axes.txt[/bold]
+    """
+    from riins_bringup.geometry import describe_file, describe_thesis
+
+    tables, figures = describe_file(file) if file is not None else describe_thesis()
+    for table in tables:
+        _console().print(table)
+    _write_json(json_file, figures)
+    return OK
+
+
+@app.command()
+def sail(
+    scenario: ScenarioArgument,
+    seed: Annotated[int | None, typer.Option(help="seed of all noise (default: the scenario's)", min=0)] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="bag directory to write", metavar="BAG")] = None,
+    record: Annotated[Record | None, typer.Option(help="what goes into the bag (default: nav with --out)")] = None,
+    twins: Annotated[bool, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too")] = True,
+    json_file: JsonOption = None,
+) -> int:
+    """Simulate, fuse, navigate and score a voyage offline, far faster than real time.
+
+    Example: [bold]riins sail voyage_12h --out out/voyage --json out/voyage.json[/bold]
+    """
+    from riins_eval import offline
+
+    kind = record or (Record.nav if out else Record.none)
+    if out is None and kind is not Record.none:
+        raise typer.BadParameter("--record needs --out BAG")
+    with _Progress(f"sail {scenario}") as progress:
+        run = offline.sail(scenario, seed=seed, bag=out if kind is not Record.none else None, record=kind.value, progress=progress, twins=twins)
+    return _judge(run.score, run.expect, json_file)
+
+
+@app.command()
+def navigate(
+    bag: BagArgument,
+    out: Annotated[Path, typer.Option("--out", help="bag directory to write", metavar="BAG")],
+    record: Annotated[Record, typer.Option(help="what goes into the new bag")] = Record.nav,
+    json_file: JsonOption = None,
+) -> int:
+    """Fuse and navigate from the raw topics of a recorded bag, offline.
+
+    Example: [bold]riins navigate out/harbour --out out/harbour_again[/bold]
+    """
+    from riins_eval import offline
+
+    with _Progress(f"navigate {bag.name}") as progress:
+        run = offline.navigate(bag, out, record=record.value, progress=progress)
+    return _judge(run.score, run.expect, json_file)
+
+
+@app.command()
+def score(bag: BagArgument, twins: TwinsOption = None, json_file: JsonOption = None) -> int:
+    """Score a recorded run against its truth: errors, consistency, faults found and missed.
+
+    Exit status 1 when what the scenario expects does not hold. Example: [bold]riins score out/harbour --json out/score.json[/bold]
+    """
+    from riins_eval import score as scoring
+    from riins_eval.bag_record import read_record
+
+    with _Progress(f"score {bag.name}") as progress:
+        record = read_record(bag, twins=twins, progress=progress)
+        result = scoring.score(record)
+    return _judge(result, record.expect, json_file)
+
+
+@app.command()
+def report(
+    bag: BagArgument,
+    out: Annotated[Path | None, typer.Option("--out", help="directory of the report (default: BAG_report)", metavar="DIR")] = None,
+    twins: TwinsOption = None,
+) -> int:
+    """Write one self-contained HTML page and PNG figures of a recorded run.
+
+    Example: [bold]riins report out/harbour[/bold], then open out/harbour_report/index.html
+    """
+    from riins_eval.report import report as write
+
+    with _Progress(f"report {bag.name}") as progress:
+        page = write(bag, out or bag.with_name(f"{bag.name}_report"), twins=twins, progress=progress)
+    _console().print(f"report: {page}", highlight=False, soft_wrap=True)
+    return OK
+
+
+@app.command()
+def up(
+    scenario: Annotated[str | None, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")] = None,
+    bag: Annotated[Path | None, typer.Option("--bag", help="replay the raw topics of this bag instead of simulating", metavar="BAG")] = None,
+    rate: Annotated[float, typer.Option(help="speed in times real time")] = 1.0,
+    record: Annotated[Path | None, typer.Option("--record", help="record every topic to this bag directory", metavar="DIR")] = None,
+    duration: Annotated[float, typer.Option(help="stop after this much measurement time [s] (0: all of it)")] = 0.0,
+    seed: Annotated[int, typer.Option(help="seed of all noise (-1: the scenario's)")] = -1,
+    namespace: Annotated[str, typer.Option(help="namespace of all nodes and topics")] = "",
+    log_level: Annotated[str, typer.Option(help="least severe message the nodes log: debug, info, warn, error, fatal")] = "info",
+    logs: Annotated[Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")] = None,
+    network: Annotated[bool, typer.Option("--network", help="let other machines on the subnet see the topics")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the summary to this file", metavar="FILE")] = None,
+) -> int:
+    """Start the graph as live ROS 2 nodes, watch it in a table, and stop it at the end or on Ctrl-C.
+
+    Exit status 1 when a node died. Example: [bold]riins up harbour --record out/harbour[/bold], or [bold]riins up --bag out/harbour --rate 3[/bold]
+    """
+    if (scenario is None) == (bag is None):
+        raise typer.BadParameter("give a SCENARIO or --bag BAG, one of them")
+    from riins_bringup.graph import GraphSettings, build_graph
+    from riins_bringup.processes import choose_network
+    from riins_core.settings import build
+
+    values: dict[str, Any] = {"rate": rate, "duration_s": duration, "seed": seed, "namespace": namespace, "log_level": log_level}
+    values |= {"bag": str(bag)} if bag is not None else {"scenario": scenario}
+    values |= {"record": str(record)} if record is not None else {}
+    if record is not None and record.exists():
+        raise FileExistsError(f"{record} exists already; choose another name for the bag or remove it")
+    graph = build_graph(build(GraphSettings, values))
+    choose_network(network)
+    from riins_bringup.live import run_live
+
+    summary = run_live(graph, console=_console(), directory=logs, record=str(record or ""), json_file=json_file)
+    return OK if summary["status"] == 0 else BAD_RESULT
+
+
+@app.command(name="import")
+def import_file(
+    file: Annotated[Path, typer.Argument(help="recording in the common .npz layout", metavar="FILE")],
+    out: Annotated[Path, typer.Option("--out", help="bag directory to write", metavar="BAG")],
+    seed: Annotated[int, typer.Option(help="seed of the simulated noise and GNSS", min=0)] = 1,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="sensor-level noise on the six axes (without it parity is exactly zero)")] = True,
+    faults: Annotated[Path | None, typer.Option(help="YAML list of faults to put in, as in a scenario", metavar="FILE")] = None,
+) -> int:
+    """Make a bag of a foreign recording: its IMU projected on six axes, its log, simulated GPS and BDS where it has none.
+
+    Example: [bold]riins import snapir_open.npz --out out/sea[/bold], then [bold]riins up --bag out/sea[/bold]
+    """
+    from riins_eval import importers
+
+    with _Progress(f"import {file.name}") as progress:
+        lines = importers.import_npz(file, out, seed=seed, noise=noise, faults=faults, progress=progress)
+    for line in lines:
+        _console().print(line, markup=False, highlight=False, soft_wrap=True)
+    return OK
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="directory for bags and reports, made anew", metavar="DIR")] = Path("out/demo"),
+    duration: Annotated[float, typer.Option(help="length of the live run [s] (0: all of the scenario)")] = 0.0,
+) -> int:
+    """The whole house in under four minutes: live harbour run with recording, 12 h voyage offline, report, one table.
+
+    Example: [bold]riins demo --out out/demo[/bold]
+    """
+    from riins_bringup.demo import run_demo
+
+    return run_demo(out, _console(), duration)
+
+
+@bag_app.command(name="info")
+def bag_info(bag: BagArgument, json_file: Annotated[Path | None, typer.Option("--json", help="write it to this file", metavar="FILE")] = None) -> int:
+    """Topics, counts, rates and lost samples of a bag.
+
+    Example: [bold]riins bag info out/harbour[/bold]
+    """
+    from riins_bag.info import describe
+
+    info = describe(bag)
+    for line in info.lines():
+        _console().print(line, markup=False, highlight=False, soft_wrap=True)
+    _write_json(json_file, info.as_mapping())
+    return OK
+
+
+@bag_app.command(name="recover")
+def bag_recover(
+    bag: Annotated[Path, typer.Argument(help="damaged bag directory or .mcap file", metavar="BAG")],
+    out: Annotated[Path | None, typer.Option("--out", help="new bag directory (default: BAG_recovered)", metavar="DIR")] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="put the recovered bag in the place of the damaged one")] = False,
+) -> int:
+    """Rebuild a bag whose recorder was killed: every complete chunk is kept.
+
+    Example: [bold]riins bag recover out/harbour[/bold]
+    """
+    from riins_bag.recover import recover
+
+    for line in recover(bag, out, replace=replace).lines():
+        _console().print(line, markup=False, highlight=False, soft_wrap=True)
+    return OK
+
+
+@bag_app.command(name="play")
+def bag_play(
+    bag: BagArgument,
+    rate: Annotated[float, typer.Option(help="speed in times real time")] = 1.0,
+    start: Annotated[float, typer.Option(help="begin this long after the start of the bag [s]")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="begin anew at the end")] = False,
+    all_topics: Annotated[bool, typer.Option("--all", help="play every topic, not the raw ones alone")] = False,
+    namespace: Annotated[str, typer.Option(help="namespace of the topics")] = "",
+) -> int:
+    """Publish the raw topics of a bag, and /clock, at the recorded pace; the player waits for its first subscribers.
+
+    Example: [bold]riins bag play out/harbour --rate 2 --start 30[/bold], beside [bold]ros2 run riins_imu_fusion imu_fusion[/bold]
+    """
+    from riins_bringup.play import play
+
+    return play(bag, rate=rate, start=start, loop=loop, all_topics=all_topics, namespace=namespace)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : words behind `riins`; None: those of the process
+
+    Returns
+    -------
+    exit status: 0 success, 1 bad result, 2 bad use
+    """
+    try:
+        status = app(args=arguments, prog_name="riins", standalone_mode=False)
+    except TyperException as error:  # what typer itself found wrong with the words
+        if str(error):
+            _complain(error.format_message() if hasattr(error, "format_message") else str(error))
+        return BAD_USE
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted")
+        return BAD_RESULT
+    except BrokenPipeError:
+        sys.stderr.close()
+        return OK
+    except Exception as error:
+        names = {cls.__name__ for cls in type(error).__mro__}
+        if names & (_USER_ERRORS | _FAILURES):
+            _complain(_message(error))
+            return BAD_USE if names & _USER_ERRORS else BAD_RESULT
+        raise
+    return status if isinstance(status, int) else OK
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def _complain(text: str) -> None:
+    print("riins: error: " + " ".join(text.split()), file=sys.stderr)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console()
+
+
+def _judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | None) -> int:
+    """Print a score and its verdict; exit status by the verdict."""
+    from riins_bringup.printing import fault_table, score_table
+    from riins_eval.score import verdict
+
+    failures = verdict(result, expect)
+    console = _console()
+    console.print(score_table(result))
+    if result["faults"]:
+        console.print(fault_table(result))
+    for line in failures:
+        console.print(f"not as expected: {line}", style="bold red", markup=False, highlight=False)
+    if expect and not failures:
+        console.print("as the scenario expects", style="green")
+    for note in result["notes"]:
+        console.print(f"note: {note}", markup=False, highlight=False)
+    _write_json(json_file, {**result, "verdict": {"passed": not failures, "failures": failures}})
+    return BAD_RESULT if failures else OK
+
+
+def _write_json(path: Path | None, figures: Any) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(figures, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
+
+
+class _Progress:
+    """A progress bar with the speed in times real time; nothing where the output is no terminal."""
+
+    def __init__(self, title: str) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._title = title
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        self._task = self._bar.add_task(self._title, total=None, speed="")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: float, total: float) -> None:
+        """`done` of `total` seconds of measurement time are computed."""
+        elapsed = self._bar.tasks[0].elapsed or 0.0
+        self._bar.update(self._task, completed=done, total=total, speed=f"{done / elapsed:.0f} x real time" if elapsed > 0.2 else "")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
