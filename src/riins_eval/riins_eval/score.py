@@ -1,0 +1,294 @@
+"""The score of a run: one dictionary with stable names, documented in docs/json.md, and the verdict against what a scenario expects.
+
+Lives here: `score`, `score_bag`, `verdict`, `table`.
+Does not live here: the measures themselves (metrics.py), where the arrays come from (offline.py, bag_record.py).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import metrics
+from .run_record import HEALTHY, FaultInterval, HealthChange, RunRecord, Track, is_imu_sensor
+
+ARCMIN = 180.0 * 60.0 / math.pi
+Score = dict[str, Any]
+
+
+def score(record: RunRecord) -> Score:
+    """Score a run.
+
+    Parameters
+    ----------
+    record : of a simulated, recorded or imported run
+
+    Returns
+    -------
+    dict, JSON-ready, keys as in docs/json.md; None (null) where the run does not say
+    """
+    result = _numbers(record)
+    result["samples"] = {
+        "received": record.samples.received, "lost": record.samples.lost, "late": record.samples.late, "rejected": record.samples.rejected,
+    }  # fmt: skip
+    result["realtime_factor"] = _number(record.realtime_factor)
+    result["pieces"] = []
+    for name, start_ns, stop_ns in record.pieces:
+        piece = record.between(start_ns, stop_ns)
+        # the scoring window of a recording is counted from the start of each piece
+        piece.scoring_from_ns = start_ns + max(0, record.scoring_from_ns - record.pieces[0][1])
+        result["pieces"].append({"name": name, **_numbers(piece)})
+    if record.pieces:
+        whole = _over_pieces(result["pieces"])
+        result.update(whole)
+    result["notes"] = list(record.notes)
+    return result
+
+
+def score_bag(bag: str | Path, twins: bool | None = None, progress: Callable[[float, float], None] | None = None) -> Score:
+    """Score a recorded run.
+
+    Parameters
+    ----------
+    bag : rosbag2 directory with /nav/settled and a truth (/truth/state or /truth/odometry)
+    twins : sail the fault-free twin and the oracle again where the bag lacks them; None: where it is cheap
+    progress : called with (seconds done, seconds in all)
+
+    Returns
+    -------
+    dict as of `score`
+
+    Raises
+    ------
+    RecordError
+        The bag lacks what scoring needs.
+    """
+    from .bag_record import read_record
+
+    return score(read_record(bag, twins=twins, progress=progress))
+
+
+def verdict(result: Mapping[str, Any], expect: Mapping[str, Any]) -> list[str]:
+    """What a scenario promises and the score does not hold.
+
+    Parameters
+    ----------
+    result : of `score`
+    expect : key -> limit. A key is a name of the score, dots lead into it (`samples.lost`, `oracle_ratio.heading`, `nis_per_dof.gps`). A limit is
+        a mapping of `min`, `max`, `equals`, or a value that must be equal. `isolated: [targets]`: each was isolated, and nothing healthy with it;
+        `detected: [targets]`; `not_isolated: [targets]`: never isolated rightly or wrongly.
+
+    Returns
+    -------
+    list of sentences, empty when everything holds
+    """
+    failures: list[str] = []
+    for key, limit in expect.items():
+        if key in ("isolated", "detected"):
+            failures += _missing_targets(result, key, limit)
+        elif key == "not_isolated":
+            bad = {f["target"] for f in result["faults"] if f["isolated_right"]} | {f["target"] for f in result["false_isolations_list"]}
+            failures += [f"{target} was isolated" for target in limit if target in bad]
+        else:
+            failures += _limit(result, key, limit)
+    return failures
+
+
+def table(result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Rows (what, value, unit) of the score for people, in a fixed order."""
+    ratio, samples = result["oracle_ratio"], result["samples"]
+    rows = [
+        ("position error, RMS horizontal", _text(result["position_rms_m"], 2), "m"),
+        ("position error, largest", _text(result["position_max_m"], 2), "m"),
+        ("velocity error, RMS horizontal", _text(result["velocity_rms_mps"], 4), "m/s"),
+        ("heading error, RMS", _text(result["heading_rms_arcmin"], 3), "arcmin"),
+        ("roll and pitch error, RMS", _text(result["tilt_rms_arcmin"], 3), "arcmin"),
+        ("NEES per degree of freedom (1: consistent)", _text(result["nees_per_dof"], 2), ""),
+    ]
+    rows += [(f"NIS per degree of freedom, {name}", _text(value, 2), "") for name, value in result["nis_per_dof"].items()]
+    if any(v is not None for v in ratio.values()):
+        rows.append(("to the oracle: position, velocity, heading", ", ".join(_text(ratio[k], 3) for k in ("position", "velocity", "heading")), ""))
+    if result["twin_deviation_max_m"] is not None:
+        rows.append(("largest distance from the fault-free twin", _text(result["twin_deviation_max_m"], 2), "m"))
+    rows.append(("false isolations", str(result["false_isolations"]), ""))
+    rows += [(f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected") if samples[name] is not None]
+    if result["realtime_factor"] is not None:
+        rows.append(("speed", _text(result["realtime_factor"], 0 if result["realtime_factor"] >= 10 else 1), "x real time"))
+    return rows
+
+
+def fault_rows(result: Mapping[str, Any]) -> list[tuple[str, str, str, str, str, str, str]]:
+    """Rows (target, type, onset, detected, delay, isolated right, fused) of the fault table for people."""
+    rows = []
+    for fault in result["faults"]:
+        yes = {True: "yes", False: "no", None: "-"}
+        delay = "-" if fault["delay_s"] is None else f"{fault['delay_s']:.2f} s"
+        fused = "-" if fault["epochs_fused"] is None else str(fault["epochs_fused"])
+        kind = f"{fault['type']} {fault['size']}".strip()
+        rows.append((fault["target"], kind, f"{fault['onset_s']:.1f} s", yes[fault["detected"]], delay, yes[fault["isolated_right"]], fused))
+    return rows
+
+
+def _numbers(record: RunRecord) -> Score:
+    settled, truth = record.settled, record.truth
+    window = settled.stamp_ns >= record.scoring_from_ns
+    scored, reference = settled.take(window), truth.take(window)
+    position = metrics.position_error(scored, reference)[:, :2]
+    velocity = (scored.v_n - reference.v_n)[:, :2]
+    tilt = metrics.attitude_error(scored, reference)[:, :2]
+    heading = metrics.heading_error(scored, reference)
+    length = np.hypot(*position.T)
+    nees = metrics.nees7(scored, reference, record.covariance[window]) if record.covariance is not None else np.zeros(0)
+    nees = nees[np.isfinite(nees)]
+    wrong = metrics.false_isolations(record.health, record.faults)
+    return {
+        "name": record.name,
+        "duration_s": _number((settled.stamp_ns[-1] - settled.stamp_ns[0]) * 1e-9 if len(settled) else None),
+        "epochs": int(np.isfinite(length).sum()),
+        "position_rms_m": _number(metrics.rms(position)),
+        "velocity_rms_mps": _number(metrics.rms(velocity)),
+        "heading_rms_arcmin": _number(metrics.rms(heading) * ARCMIN),
+        "tilt_rms_arcmin": _number(metrics.rms(tilt) * ARCMIN / math.sqrt(2.0)),
+        "position_max_m": _number(np.nanmax(length) if np.isfinite(length).any() else None),
+        "velocity_max_mps": _number(np.nanmax(np.hypot(*velocity.T)) if np.isfinite(velocity).any() else None),
+        "heading_max_arcmin": _number(np.nanmax(np.abs(heading)) * ARCMIN if np.isfinite(heading).any() else None),
+        "nees_per_dof": _number(np.mean(nees) / len(metrics.NEES7) if len(nees) else None),
+        "nis_per_dof": {name: _number(metrics.nis_per_dof(j, _of(record.faults, name))) for name, j in sorted(record.judged.items())},
+        "oracle_ratio": _ratio(record, window, position, velocity, heading),
+        "twin_deviation_max_m": _twin(record),
+        "faults": [_fault(record, fault) for fault in sorted(record.faults, key=lambda f: f.start_ns)],
+        "missed_isolations": sum(not metrics.fault_outcome(f, record.faults, record.health, record.judged.get(f.target)).isolated for f in record.faults),
+        "false_isolations": len(wrong),
+        "false_isolations_list": [_change(record, c) for c in wrong],
+        "subfilters": {name: _subfilter(record, name) for name in sorted(record.judged)},
+    }  # fmt: skip
+
+
+def _fault(record: RunRecord, fault: FaultInterval) -> Score:
+    judged = record.judged.get(fault.target)
+    outcome = metrics.fault_outcome(fault, record.faults, record.health, judged)
+    return {
+        "target": fault.target, "type": fault.type, "size": fault.size_text,
+        "onset_s": _number((fault.start_ns - record.start_ns) * 1e-9), "end_s": _number((fault.end_ns - record.start_ns) * 1e-9),
+        "detected": outcome.detected, "delay_s": _number(outcome.delay_s), "isolated_right": outcome.isolated_right,
+        "wrongly_isolated": list(outcome.wrong), "epochs_fused": _epochs_fused(record, fault),
+    }  # fmt: skip
+
+
+def _epochs_fused(record: RunRecord, fault: FaultInterval) -> int | None:
+    if not is_imu_sensor(fault.target):
+        judged = record.judged.get(fault.target)
+        return metrics.epochs_accepted(judged, fault) if judged is not None else None
+    if record.use is None:
+        return None
+    declared = metrics.declared_at(fault, record.health)
+    if declared is None:  # never declared: every sample of the fault went in
+        return record.use.samples_with(fault.target, fault.start_ns, fault.end_ns)
+    until = min([fault.end_ns, *(c.stamp_ns for c in record.health if c.target == fault.target and c.state == HEALTHY and c.stamp_ns > declared)])
+    return record.use.samples_with(fault.target, declared, until)
+
+
+def _subfilter(record: RunRecord, name: str) -> Score:
+    judged, faults = record.judged[name], _of(record.faults, name)
+    return {
+        "judged": len(judged.stamp_ns), "accepted": int(judged.accepted.sum()), "rejected": int((~judged.accepted).sum()),
+        "good_rejected": metrics.good_rejected(judged, faults), "nis_per_dof": _number(metrics.nis_per_dof(judged, faults)),
+    }  # fmt: skip
+
+
+def _ratio(record: RunRecord, window: Any, position: Any, velocity: Any, heading: Any) -> dict[str, float | None]:
+    if record.oracle is None:
+        return {"position": None, "velocity": None, "heading": None}
+    oracle, truth = record.oracle.take(window), record.truth.take(window)
+    own = (metrics.rms(position), metrics.rms(velocity), metrics.rms(heading))
+    told = (
+        metrics.rms(metrics.position_error(oracle, truth)[:, :2]),
+        metrics.rms((oracle.v_n - truth.v_n)[:, :2]),
+        metrics.rms(metrics.heading_error(oracle, truth)),
+    )
+    return {key: _number(a / b if b > 0.0 else None) for key, a, b in zip(("position", "velocity", "heading"), own, told, strict=True)}
+
+
+def _twin(record: RunRecord) -> float | None:
+    if record.twin is None or not len(record.twin):
+        return None
+    distance = metrics.horizontal_distance(record.settled, record.twin)
+    return _number(np.nanmax(distance) if np.isfinite(distance).any() else None)
+
+
+def _change(record: RunRecord, change: HealthChange) -> Score:
+    return {"target": change.target, "time_s": _number((change.stamp_ns - record.start_ns) * 1e-9), "reason": change.reason}
+
+
+def _of(faults: list[FaultInterval], name: str) -> list[FaultInterval]:
+    return [f for f in faults if f.target == name]
+
+
+def _over_pieces(pieces: list[Score]) -> Score:
+    """RMS, NEES and maxima of a recording from those of its pieces: each piece has its own scoring window."""
+    total: Score = {}
+    for key in ("position_rms_m", "velocity_rms_mps", "heading_rms_arcmin", "tilt_rms_arcmin"):
+        known = [(p[key] ** 2, p["epochs"]) for p in pieces if p[key] is not None]
+        total[key] = _number(math.sqrt(sum(s * n for s, n in known) / sum(n for _, n in known)) if known else None)
+    for key in ("position_max_m", "velocity_max_mps", "heading_max_arcmin"):
+        total[key] = max((p[key] for p in pieces if p[key] is not None), default=None)
+    known = [(p["nees_per_dof"], p["epochs"]) for p in pieces if p["nees_per_dof"] is not None]
+    total["nees_per_dof"] = _number(sum(v * n for v, n in known) / sum(n for _, n in known) if known else None)
+    total["epochs"] = sum(p["epochs"] for p in pieces)
+    total["duration_s"] = sum(p["duration_s"] or 0.0 for p in pieces)
+    return total
+
+
+def _missing_targets(result: Mapping[str, Any], key: str, targets: Any) -> list[str]:
+    flag, words = ("isolated_right", "rightly isolated") if key == "isolated" else ("detected", "detected")
+    failures = []
+    for target in [targets] if isinstance(targets, str) else targets:
+        own = [f for f in result["faults"] if f["target"] == target]
+        if not own:
+            failures.append(f"{target}: expected to be {words}, but no fault was put on it")
+        failures += [f"{target}: the {f['type']} at {f['onset_s']:.0f} s was not {words}" for f in own if not f[flag]]
+    return failures
+
+
+def _limit(result: Mapping[str, Any], key: str, limit: Any) -> list[str]:
+    value: Any = result
+    for part in key.split("."):
+        if not isinstance(value, Mapping) or part not in value:
+            near = difflib.get_close_matches(part, list(value) if isinstance(value, Mapping) else [], n=1)
+            return [f'"{key}" is no number of the score' + (f' (did you mean "{near[0]}"?)' if near else "")]
+        value = value[part]
+    bounds = limit if isinstance(limit, Mapping) else {"equals": limit}
+    failures = []
+    for word, bound in bounds.items():
+        if word not in ("min", "max", "equals"):
+            failures.append(f'{key}: a limit is "min", "max" or "equals", not "{word}"')
+        elif value is None:
+            failures.append(f"{key} is not known, but must be {_words(word)} {bound}")
+        elif (word == "min" and value < bound) or (word == "max" and value > bound) or (word == "equals" and value != bound):
+            failures.append(f"{key} is {value if isinstance(value, int) else format(value, '.4g')}, must be {_words(word)} {bound}")
+    return failures
+
+
+def _words(word: str) -> str:
+    return {"min": "at least", "max": "at most", "equals": "equal to"}[word]
+
+
+def _number(value: Any) -> float | None:
+    """A JSON number, or None for what is not finite."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:,.{digits}f}"
+
+
+def empty_track_like(track: Track) -> Track:
+    """A track at the same stamps where nothing is known."""
+    m = len(track)
+    nothing, vectors = np.full(m, np.nan), np.full((m, 3), np.nan)
+    return Track(track.stamp_ns, nothing, nothing.copy(), nothing.copy(), vectors, vectors.copy())
