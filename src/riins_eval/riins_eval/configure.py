@@ -1,0 +1,86 @@
+"""From a scenario to the settings of the fusion and of the navigator, the same for the live graph and the offline engine.
+
+Lives here: `fusion_config`, `navigator_config`, `configuration_text`; a scenario's `fusion` and `navigator` sections have the last word.
+Does not live here: the settings classes (riins_imu_fusion.pipeline, riins_federated.config), the graph (riins_bringup.graph).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from riins_core.imu_array import CONFIGURATIONS
+from riins_core.sensor_errors import KNOT
+from riins_core.settings import build
+from riins_federated.config import NavigatorConfig
+from riins_sim.scenario import Scenario
+
+ABSENT_AFTER = 3.5
+"""An aid is absent after this many of its intervals."""
+MISALIGNMENT_MARGIN = 2.0
+"""The filter's sigma of the log's mounting yaw over the scenario's: the truth is drawn from the latter, the filter may not count on it."""
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested mapping with the values of `over` in place of those of `base`."""
+    result = dict(base)
+    for key, value in over.items():
+        inner = result.get(key)
+        result[key] = merged(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def navigator_config(scenario: Scenario) -> NavigatorConfig:
+    """Settings of the navigator that know the sensors of a scenario as their data sheets do.
+
+    Parameters
+    ----------
+    scenario : Scenario; its `navigator` section overrides
+
+    Returns
+    -------
+    NavigatorConfig
+
+    Raises
+    ------
+    SettingError
+        The scenario's `navigator` section names an unknown setting, or one out of range.
+    """
+    n = CONFIGURATIONS[scenario.imu.configuration].shape[0]
+    fused = math.sqrt(3.0 / n)  # H'H = n/3 I: n equal sensors make a triad this much better
+    gyro, accel, log = scenario.imu.gyro, scenario.imu.accel, scenario.doppler
+    settings: dict[str, Any] = {
+        "inertial": {
+            "gyro_bias_deg_h": gyro.constant_drift_deg_h * fused,
+            "gyro_markov_deg_h": gyro.markov_drift_deg_h * fused,
+            "gyro_markov_time_s": gyro.markov_time_s,
+            "gyro_arw_deg_sqrt_h": max(gyro.arw_deg_sqrt_h * fused, 1e-6),
+            "gyro_bias_walk_deg_h_sqrt_h": gyro.random_walk_deg_h_sqrt_h * fused,
+            "accel_bias_ug": math.hypot(accel.bias_ug, accel.markov_bias_ug) * fused,
+            "accel_vrw_ug_sqrt_hz": max(accel.vrw_ug_sqrt_hz * fused, 1e-3),
+            "accel_bias_walk_ug_sqrt_h": accel.random_walk_ug_sqrt_h * fused,
+        },
+        "doppler": {
+            "enabled": log.enabled,
+            "sigma_mps": [s * KNOT for s in log.sigma_kn],
+            "misalignment_deg": min(MISALIGNMENT_MARGIN * log.misalignment_deg, 90.0),
+            "scale_ppm": log.scale_ppm,
+            "lever_arm_m": list(log.lever_arm_m),
+            "period_s": log.period_s,
+            "timeout_s": ABSENT_AFTER * log.period_s,
+        },
+        "height": {"mean_m": scenario.start.height_m},
+    }
+    for name in ("gps", "bds"):
+        receiver = getattr(scenario, name)
+        settings[name] = {
+            "enabled": receiver.enabled,
+            "sigma_m": list(receiver.sigma_m),
+            "markov_sigma_m": receiver.markov_sigma_m,
+            "markov_time_s": receiver.markov_time_s,
+            "lever_arm_m": list(receiver.lever_arm_m),
+            "period_s": receiver.period_s,
+            "timeout_s": ABSENT_AFTER * receiver.period_s,
+        }
+    return build(NavigatorConfig, merged(settings, scenario.navigator), ("navigator",))

@@ -1,0 +1,114 @@
+"""Parameters of the navigator, with description, unit and range.
+
+Lives here: `NavigatorConfig` and its sections; the node's ROS parameters and a scenario's `navigator` section are these.
+Does not live here: how a scenario becomes a configuration (riins_eval.configure), ROS declaration (riins_node.parameters).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from riins_core.settings import SettingError, section, setting
+
+
+@dataclass(frozen=True)
+class InertialModel:
+    """Error model of the fused triad, as the filter assumes it."""
+
+    gyro_bias_deg_h: float = setting(0.01, "sigma of the constant gyro bias", "deg/h", 0.0, 1e5)
+    gyro_markov_deg_h: float = setting(0.003, "sigma of the first-order Gauss-Markov gyro drift; 0: none", "deg/h", 0.0, 1e5)
+    gyro_markov_time_s: float = setting(3600.0, "correlation time of the Gauss-Markov gyro drift", "s", 1.0, 1e7)
+    gyro_arw_deg_sqrt_h: float = setting(0.002, "angle random walk", "deg/sqrt(h)", 1e-9, 1e3)
+    gyro_bias_walk_deg_h_sqrt_h: float = setting(0.0, "random walk of the gyro bias", "deg/h/sqrt(h)", 0.0, 1e5)
+    accel_bias_ug: float = setting(50.0, "sigma of the constant accelerometer bias", "ug", 0.0, 1e6)
+    accel_vrw_ug_sqrt_hz: float = setting(10.0, "velocity random walk, as noise density", "ug/sqrt(Hz)", 1e-9, 1e6)
+    accel_bias_walk_ug_sqrt_h: float = setting(0.0, "random walk of the accelerometer bias", "ug/sqrt(h)", 0.0, 1e6)
+
+
+@dataclass(frozen=True)
+class PositionAid:
+    """A GNSS receiver."""
+
+    enabled: bool = setting(True, "use this subfilter")
+    sigma_m: tuple[float, ...] = setting((30.0, 30.0, 60.0), "sigma north, east, down where the message gives no covariance", "m", 1e-4, 1e5, length=3)
+    sigma_floor_m: float = setting(0.0, "a smaller reported sigma is raised to this", "m", 0.0, 1e5)
+    markov_sigma_m: float = setting(0.0, "correlated error, worked in by a larger white noise", "m", 0.0, 1e5)
+    markov_time_s: float = setting(100.0, "its correlation time", "s", 0.1, 1e6)
+    use_height: bool = setting(False, "fuse the height too (mean sea level serves a ship better)")
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "antenna from the IMU, forward, starboard, down", "m", -1e3, 1e3, length=3)
+    period_s: float = setting(10.0, "nominal interval between measurements", "s", 1e-3, 3600.0)
+    timeout_s: float = setting(35.0, "absent after this long without a measurement, by IMU time", "s", 0.01, 1e5)
+
+
+@dataclass(frozen=True)
+class VelocityAid:
+    """A Doppler log."""
+
+    enabled: bool = setting(True, "use this subfilter")
+    sigma_mps: tuple[float, ...] = setting((0.1286, 0.1286, 0.1286), "sigma forward, starboard, down where the message gives none", "m/s", 1e-6, 100.0, length=3)
+    sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
+    misalignment_deg: float = setting(0.5, "sigma of the unknown mounting yaw; 0: known, not estimated", "deg", 0.0, 90.0)
+    scale_ppm: float = setting(0.0, "sigma of the unknown scale factor; 0: known, not estimated", "ppm", 0.0, 1e6)
+    use_down: bool = setting(False, "fuse the third component too")
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "transducer from the IMU, forward, starboard, down", "m", -1e3, 1e3, length=3)
+    period_s: float = setting(10.0, "nominal interval between measurements", "s", 1e-3, 3600.0)
+    timeout_s: float = setting(35.0, "absent after this long without a measurement, by IMU time", "s", 0.01, 1e5)
+
+
+@dataclass(frozen=True)
+class HeightAid:
+    """Mean height of a ship: mean sea level with geoid undulation, tide and heave as correlated noise."""
+
+    enabled: bool = setting(True, "a ship stays near the geoid; switch off for vehicles that leave the surface")
+    mean_m: float = setting(0.0, "mean height above the ellipsoid of the IMU", "m", -1e4, 1e5)
+    sigma_m: float = setting(2.0, "sigma of tide and heave", "m", 1e-3, 1e4)
+    correlation_time_s: float = setting(10.0, "its correlation time", "s", 0.1, 1e5)
+    period_s: float = setting(10.0, "interval at which it is fused", "s", 0.01, 3600.0)
+
+
+@dataclass(frozen=True)
+class Isolation:
+    """Fault test of the subfilters."""
+
+    false_alarm_probability: float = setting(1e-5, "probability that a good measurement fails the innovation test", "", 1e-15, 0.5)
+    isolate_after: int = setting(3, "consecutive failed tests until the subfilter is isolated", "", 1, 1000)
+    hold_s: float = setting(30.0, "an isolated subfilter stays so at least this long after its last failed test", "s", 0.0, 1e5)
+    readmit_after: int = setting(3, "consecutive passed tests on probation until it is fused again", "", 1, 1000)
+
+
+@dataclass(frozen=True)
+class ValidityLimits:
+    """Limits of the validity flags: valid up to the first, invalid beyond the second (95 % radius, 1.96 sigma)."""
+
+    position_m: float = setting(100.0, "position valid up to this 95 % radius", "m", 0.0, 1e6)
+    position_invalid_m: float = setting(1000.0, "position invalid beyond", "m", 0.0, 1e7)
+    velocity_mps: float = setting(0.5, "velocity valid up to this 95 % radius", "m/s", 0.0, 1e3)
+    velocity_invalid_mps: float = setting(5.0, "velocity invalid beyond", "m/s", 0.0, 1e3)
+    heading_deg: float = setting(0.75, "heading valid up to this 95 % error, times sec(latitude) (A.821)", "deg", 0.0, 180.0)
+    heading_invalid_deg: float = setting(3.0, "heading invalid beyond, times sec(latitude)", "deg", 0.0, 180.0)
+    integrity_risk: float = setting(1e-5, "probability that the horizontal error leaves the protection radius", "", 1e-15, 0.5)
+
+
+@dataclass(frozen=True)
+class NavigatorConfig:
+    """Everything the navigator needs to know before it starts."""
+
+    structure: str = setting("information", "information: exact master; fusion_reset: local filters, fused and reset", choices=("information", "fusion_reset"))
+    max_delay_s: float = setting(2.0, "a measurement later than this, by IMU time, is counted and dropped; an IMU stamp that jumps by more restarts the run", "s", 0.05, 600.0)
+    covariance_period_s: float = setting(1.0, "interval of the covariance propagation", "s", 0.01, 60.0)
+    settle_period_s: float = setting(1.0, "interval of the settled state", "s", 0.01, 3600.0)
+    feedback_period_s: float = setting(0.0, "output correction for this long, then feedback; 0: feedback at every measurement", "s", 0.0, 1e6)
+    inertial: InertialModel = section(InertialModel, "error model of the fused triad")
+    gps: PositionAid = section(PositionAid, "GPS receiver")
+    bds: PositionAid = section(PositionAid, "BDS receiver")
+    doppler: VelocityAid = section(VelocityAid, "Doppler log")
+    height: HeightAid = section(HeightAid, "mean height")
+    isolation: Isolation = section(Isolation, "fault test")
+    validity: ValidityLimits = section(ValidityLimits, "validity flags")
+
+    def __post_init__(self) -> None:
+        limits = self.validity
+        for name in ("position_m", "velocity_mps", "heading_deg"):
+            stem, unit = name.rsplit("_", 1)
+            if getattr(limits, name) > getattr(limits, f"{stem}_invalid_{unit}"):
+                raise SettingError(f'"validity.{name}" must not exceed "validity.{stem}_invalid_{unit}"')

@@ -1,0 +1,208 @@
+"""Strapdown, master and subfilters in one object that can be stopped, copied and taken back.
+
+Lives here: `IntegratedFilter`: integrate samples, propagate, judge aids, feed back, say the solution.
+Does not live here: what happens when (navigator.py), the models (aiding.py, error_filter.py), the structures (master.py).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
+from riins_core.strapdown import strapdown_block
+from riins_fdi.health import Change
+
+from .aiding import HeightModel, Pose, PositionModel, VelocityModel
+from .config import NavigatorConfig
+from .error_filter import N_ERROR, ProcessNoise, correct, initial_covariance, transition
+from .local_filter import LocalFilter
+from .master import FusionReset, InformationMaster, Master
+from .solution import body_rate, solution
+from .types import Aid, Array, InitialState, Judged, Mode, NavSolution
+
+
+@dataclass
+class _Motion:
+    """Nominal state and what goes with it."""
+
+    nav: Array
+    nav_before: Array  # one sample earlier
+    dtheta: Array
+    dv: Array
+    parameters: Array  # gyro bias, accelerometer bias, gyro drift, log yaw, log scale
+    sums: Array
+    rate: Array  # last two samples, newest first
+    force: Array
+    dt: float = 0.0
+    stamp_ns: int = 0
+    started_ns: int = 0
+    reset_count: int = 0
+    reset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def copy(self) -> _Motion:
+        return _Motion(**{name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()})
+
+
+class IntegratedFilter:
+    """The federated filter at one measurement time.
+
+    Parameters
+    ----------
+    config : NavigatorConfig
+
+    Attributes
+    ----------
+    subfilters : LocalFilter for each aid that is enabled
+    running : it has an initial state
+    """
+
+    def __init__(self, config: NavigatorConfig) -> None:
+        self._config = config
+        self._noise = ProcessNoise(config)
+        self._height = HeightModel(config.height)
+        self.subfilters = [LocalFilter("gps", PositionModel(config.gps), config.isolation, config.gps.timeout_s)] if config.gps.enabled else []
+        if config.bds.enabled:
+            self.subfilters.append(LocalFilter("bds", PositionModel(config.bds), config.isolation, config.bds.timeout_s))
+        if config.doppler.enabled:
+            self.subfilters.append(LocalFilter("doppler", VelocityModel(config.doppler), config.isolation, config.doppler.timeout_s))
+        self._motion: _Motion | None = None
+        self._master: Master = InformationMaster(np.zeros((N_ERROR, N_ERROR)), 1)
+        self._Phi, self._Qd = np.empty((N_ERROR, N_ERROR)), np.empty((N_ERROR, N_ERROR))
+
+    @property
+    def running(self) -> bool:
+        return self._motion is not None
+
+    @property
+    def started_ns(self) -> int:
+        return self._motion.started_ns if self._motion else 0
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the newest sample integrated."""
+        return self._motion.stamp_ns if self._motion else 0
+
+    @property
+    def beta(self) -> Array:
+        """Information shares of the subfilters."""
+        return self._master.beta
+
+    def start(self, initial: InitialState) -> None:
+        """Begin at an initial state, forgetting what was estimated before."""
+        nav = np.zeros(16)
+        nav[0:3] = initial.lat, initial.lon, initial.h
+        nav[3:6] = initial.v_n
+        nav[6:15] = dcm_from_euler(*initial.rph).ravel()
+        before = self._motion
+        self._motion = _Motion(
+            nav, nav.copy(), np.zeros(3), np.zeros(3), np.zeros(11), np.zeros(13), np.zeros((2, 3)), np.zeros((2, 3)),
+            stamp_ns=initial.stamp_ns, started_ns=initial.stamp_ns, reset_count=before.reset_count + 1 if before else 0)
+        P0 = initial_covariance(initial, self._config)
+        shares = len(self.subfilters) + 1  # the mean height is the last one's
+        self._master = FusionReset(P0, shares) if self._config.structure == "fusion_reset" else InformationMaster(P0, shares)
+
+    def stop(self) -> None:
+        """Forget the run; counts and the operator's exclusions stay."""
+        self._motion = None
+        for local in self.subfilters:
+            local.restart()
+
+    def integrate(self, rate: Array, force: Array, dt: Array, stamp_ns: int) -> None:
+        """Advance the nominal state by samples (m, 3), (m, 3), (m,), the last of which ends at `stamp_ns`."""
+        m = self._running()
+        p = m.parameters
+        bias_g = p[0:3] + p[6:9]
+        if len(dt) > 1:
+            strapdown_block(m.nav, m.dtheta, m.dv, rate[:-1], force[:-1], dt[:-1], bias_g, p[3:6], m.sums)
+            m.rate[0], m.force[0] = rate[-2], force[-2]
+        elif not m.dt:
+            m.rate[0], m.force[0] = rate[0], force[0]
+        m.nav_before[:] = m.nav
+        strapdown_block(m.nav, m.dtheta, m.dv, rate[-1:], force[-1:], dt[-1:], bias_g, p[3:6], m.sums)
+        m.rate[1], m.force[1] = m.rate[0], m.force[0]
+        m.rate[0], m.force[0] = rate[-1], force[-1]
+        m.dt, m.stamp_ns = float(dt[-1]), stamp_ns
+
+    def propagate(self) -> None:
+        """Bring the error covariance up to the nominal state."""
+        m = self._running()
+        if m.sums[12] > 0.0:
+            transition(m.nav, m.sums, self._noise.density, self._noise.markov_rate, self._Phi, self._Qd)
+            self._master.predict(self._Phi, self._Qd)
+            m.sums[:] = 0.0
+
+    def judge(self, index: int, aid: Aid) -> tuple[Judged, Change | None]:
+        """Test a measurement of subfilter `index`, not later than the newest sample, and fuse it if it passes."""
+        local = self.subfilters[index]
+        measurement = local.model.measurement(aid, self._pose(aid.stamp_ns))
+        judged, change = local.judge(aid.stamp_ns, measurement, self._master.x, self._master.P)
+        if judged.accepted:
+            self._master.update(index, measurement)
+        return judged, change
+
+    def fuse_height(self) -> None:
+        """Fuse the known mean height."""
+        self._master.update(len(self.subfilters), self._height.measurement(self._pose(self.stamp_ns)))
+
+    def feed_back(self) -> None:
+        """Correct the nominal state by the estimate, which is zero afterwards; a correction beyond one sigma is a reset."""
+        m = self._running()
+        x, P = self._master.x.copy(), self._master.P
+        if not x.any():
+            return
+        correct(m.nav, m.parameters, x)
+        correct(m.nav_before, m.parameters.copy(), x)
+        self._master.shift(x)
+        position, velocity, heading = math.hypot(x[0], x[1]), math.hypot(x[3], x[4]), abs(x[8])
+        if position**2 > P[0, 0] + P[1, 1] or velocity**2 > P[3, 3] + P[4, 4] or heading**2 > P[8, 8]:
+            m.reset_count += 1
+            m.reset = (position, velocity, float(x[8]))
+
+    def mode(self) -> Mode:
+        """Navigating while some aid has been fused within its time-out, else coasting."""
+        if self._motion is None:
+            return Mode.WAITING
+        return Mode.NAVIGATING if any(local.fusing(self._motion.stamp_ns) for local in self.subfilters) else Mode.COASTING
+
+    def solution(self) -> NavSolution:
+        """State at the newest sample, corrected by the estimate."""
+        m = self._running()
+        return solution(
+            m.stamp_ns, m.nav, m.parameters, m.rate[0], m.force[0], self._master.x, self._master.P, self.mode(), self._config.validity,
+            m.reset_count, m.reset)
+
+    def snapshot(self) -> tuple[object, ...]:
+        """All that `restore` needs."""
+        motion = self._motion.copy() if self._motion else None
+        return motion, self._master, self._master.snapshot(), tuple(local.snapshot() for local in self.subfilters)
+
+    def restore(self, snapshot: tuple[object, ...]) -> None:
+        """Go back to a snapshot, which stays usable."""
+        motion, master, estimate, subfilters = snapshot
+        self._motion = motion.copy() if motion else None  # type: ignore[attr-defined]
+        self._master = master  # type: ignore[assignment]
+        self._master.restore(estimate)  # type: ignore[arg-type]
+        for local, part in zip(self.subfilters, subfilters, strict=True):  # type: ignore[call-overload]
+            local.restore(part)
+
+    def _running(self) -> _Motion:
+        if self._motion is None:
+            raise RuntimeError("the filter has no initial state")
+        return self._motion
+
+    def _pose(self, stamp_ns: int) -> Pose:
+        """Nominal state at a stamp within the newest sample, by linear interpolation."""
+        m = self._running()
+        nav, p = m.nav, m.parameters
+        rate = 1.5 * m.rate[0] - 0.5 * m.rate[1]  # from means over samples to the end of the newest
+        back = (m.stamp_ns - stamp_ns) * 1e-9
+        if back > 0.0 and m.dt > 0.0:
+            w = min(back / m.dt, 1.0)
+            nav = nav + w * (m.nav_before - nav)
+            C_now, C_before = m.nav[6:15].reshape(3, 3), m.nav_before[6:15].reshape(3, 3)
+            nav[6:15] = (C_now @ exp_so3(w * log_so3(C_now.T @ C_before))).ravel()
+            rate = rate + w * (m.rate[1] - m.rate[0])
+        rate_b = body_rate(nav, rate - p[0:3] - p[6:9])
+        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, p[9:11])

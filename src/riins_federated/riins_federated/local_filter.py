@@ -1,0 +1,141 @@
+"""One subfilter: the aid's measurement model, its innovation test, its health and its counts.
+
+Lives here: `LocalFilter`, which judges a measurement against the fused state and says whether it may be fused, and why not.
+Does not live here: the measurement models (aiding.py), the health machine and the thresholds (riins_fdi), the fusion (master.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from riins_core import kalman
+from riins_fdi.health import SUBFILTER_CODE, Change, HealthConfig, HealthMachine, HealthState
+from riins_fdi.innovation import nis_threshold
+
+from .aiding import Measurement, PositionModel, VelocityModel, reported_covariance_ok
+from .config import Isolation
+from .types import Aid, Array, Judged, Reason, SubfilterReport
+
+
+@dataclass(frozen=True)
+class _Last:
+    """What the last judged measurement was like; immutable, so that a snapshot is a reference."""
+
+    stamp_ns: int = 0
+    accepted_ns: int = 0
+    statistic: float = 0.0
+    threshold: float = 0.0
+    reason: Reason = Reason.NONE
+    information: tuple[float, float] = (0.0, 0.0)
+    accepted: int = 0
+    rejected: int = 0
+
+
+class LocalFilter:
+    """Judge of one aid.
+
+    Parameters
+    ----------
+    name : of the subfilter
+    model : its measurement model
+    isolation : fault test
+    timeout_s : absent after this long without a measurement
+
+    Attributes
+    ----------
+    late, malformed : counts of what never reached the test; arrival decides them, so they are not rolled back
+    """
+
+    def __init__(self, name: str, model: PositionModel | VelocityModel, isolation: Isolation, timeout_s: float) -> None:
+        self.name = name
+        self.model = model
+        self.timeout_ns = round(timeout_s * 1e9)
+        self.late = 0
+        self.malformed = 0
+        self._false_alarm_probability = isolation.false_alarm_probability
+        self._health = HealthMachine(HealthConfig(
+            isolate_count=isolation.isolate_after, clear_count=1, hold_s=isolation.hold_s, hold_after_failure=True,
+            hold_growth=1.0, probation_count=isolation.readmit_after, probation_s=0.0))
+        self._last = _Last()
+
+    def defect(self, aid: Aid) -> Reason:
+        """Why a measurement cannot be used at all, NONE if it can."""
+        rows = self.model.coordinates
+        if not aid.ok:
+            return Reason.NO_FIX
+        if np.shape(aid.z) != (3,) or np.shape(aid.R) != (3, 3) or not np.isfinite(aid.z[rows]).all():
+            return Reason.NOT_FINITE
+        if isinstance(self.model, PositionModel) and not (abs(aid.z[0]) <= np.pi / 2 and abs(aid.z[1]) <= 2 * np.pi):
+            return Reason.NOT_FINITE
+        return Reason.NONE if reported_covariance_ok(aid.R, rows) else Reason.COVARIANCE
+
+    def judge(self, stamp_ns: int, measurement: Measurement, x: Array, P: Array) -> tuple[Judged, Change | None]:
+        """Test a measurement against the fused state and step the health machine.
+
+        Parameters
+        ----------
+        stamp_ns : measurement time
+        measurement : z, H, R against the nominal state
+        x, P : (20,), (20, 20), fused error state
+
+        Returns
+        -------
+        the verdict, and the change of health if there was one
+        """
+        innovation = kalman.innovation(x, P, measurement.z, measurement.H, measurement.R)
+        threshold = nis_threshold(self._false_alarm_probability, len(innovation.z))
+        good = bool(innovation.nis <= threshold)  # a NaN is not good
+        change = self._health.step(stamp_ns, good, Reason.NIS)
+        accepted = good and self._health.in_use
+        reason = Reason.NONE if accepted else Reason.NIS if not good else self._held()
+        information = (0.0, 0.0)
+        if accepted:
+            matrix = measurement.H.T @ np.linalg.solve(measurement.R, measurement.H)
+            information = (float(np.trace(matrix[0:3, 0:3])), float(np.trace(matrix[3:6, 3:6])))
+        last = self._last
+        self._last = _Last(stamp_ns, stamp_ns if accepted else last.accepted_ns, innovation.nis, threshold, reason, information, last.accepted + accepted, last.rejected + (not accepted))
+        sigma = np.sqrt(np.diag(innovation.S))
+        return Judged(stamp_ns, self.name, innovation.z, sigma, innovation.standardized, innovation.nis, threshold, accepted, reason), change
+
+    def watch(self, stamp_ns: int, started_ns: int) -> Change | None:
+        """Declare the aid absent when its time-out has passed, by IMU time."""
+        if stamp_ns - max(self._last.stamp_ns, started_ns) > self.timeout_ns:
+            return self._health.absent(stamp_ns)
+        return None
+
+    def use(self, stamp_ns: int, use: bool) -> Change | None:
+        """The operator's word."""
+        return self._health.restore(stamp_ns, Reason.NONE) if use else self._health.exclude(stamp_ns, Reason.OPERATOR)
+
+    def restart(self) -> None:
+        """Forget what was judged before a restart of the run; counts and the operator's exclusion stay."""
+        self._health.reset()
+        self._last = replace(self._last, stamp_ns=0, accepted_ns=0, statistic=0.0, reason=Reason.NONE, information=(0.0, 0.0))
+
+    def refuse(self, reason: Reason) -> None:
+        """Count a measurement that was not judged."""
+        self._last = replace(self._last, reason=reason, rejected=self._last.rejected + 1)
+
+    def fusing(self, stamp_ns: int) -> bool:
+        """It is in use, and a measurement of it has been fused within its time-out."""
+        return self._health.in_use and self._last.accepted_ns > 0 and stamp_ns - self._last.accepted_ns <= self.timeout_ns
+
+    def snapshot(self) -> tuple[object, _Last]:
+        """All that roll-back needs."""
+        return self._health.snapshot(), self._last
+
+    def restore(self, snapshot: tuple[object, _Last]) -> None:
+        """Go back to a snapshot."""
+        self._health.restore_snapshot(snapshot[0])  # type: ignore[arg-type]
+        self._last = snapshot[1]
+
+    def report(self, beta: float) -> SubfilterReport:
+        """State and counts, for the status message."""
+        last = self._last
+        return SubfilterReport(
+            self.name, SUBFILTER_CODE[self._health.state], last.reason, last.stamp_ns, self._health.since_ns, last.statistic, last.threshold, beta,
+            last.information, last.accepted, last.rejected, self.late, self.malformed)
+
+    def _held(self) -> Reason:
+        return Reason.OPERATOR if self._health.state is HealthState.EXCLUDED else Reason.HOLD

@@ -1,0 +1,428 @@
+"""The navigator: what happens when. Everything is worked in the order of measurement time, whatever the order of arrival.
+
+Lives here: `Navigator`: takes IMU samples, aids and commands as they come, rolls back for what is late, settles results after `max_delay`.
+Does not live here: navigation and filtering (integrated_filter.py), queues (timeline.py).
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from riins_fdi.health import Change
+
+from .config import NavigatorConfig
+from .integrated_filter import IntegratedFilter
+from .timeline import EventQueue, ImuBuffer, Journal
+from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, SettledEpoch, UseCommand
+
+MAX_WAITING = 100_000
+"""Items that may wait for the IMU to reach their stamp."""
+LOST_BEYOND = 2**31
+"""A step of the sequence number beyond this is a number that went back, not a loss."""
+RANK_INITIAL, RANK_COMMAND = -2000, -1000
+"""At one stamp: the initial state, then commands, then the aids in the order of the subfilters."""
+
+
+@dataclass(frozen=True)
+class _Due:
+    """Stamps at which something recurs."""
+
+    covariance: int
+    height: int
+    settle: int
+    feedback: int
+
+    def first(self) -> int:
+        return min(self.covariance, self.height, self.settle, self.feedback)
+
+
+@dataclass(frozen=True)
+class _Checkpoint:
+    stamp_ns: int
+    sample: int
+    cursor: int
+    journal: int
+    due: _Due
+    filter: tuple[object, ...]
+
+
+class Navigator:
+    """Federated integrated navigation by measurement time.
+
+    Parameters
+    ----------
+    config : NavigatorConfig
+
+    Attributes
+    ----------
+    imu_received, imu_lost, imu_rejected : samples
+    restarts : jumps of the IMU stamp by more than `max_delay_s`
+    rollbacks : times a late measurement was worked in
+
+    Notes
+    -----
+    An aid is judged at the first IMU sample at or after its stamp, against the state interpolated to its stamp. Between aids the error
+    covariance moves every `covariance_period_s`. Any cut of the input into blocks gives the same numbers, bit for bit.
+    """
+
+    def __init__(self, config: NavigatorConfig) -> None:
+        self.config = config
+        self._filter = IntegratedFilter(config)
+        self._rank = {local.name: i for i, local in enumerate(self._filter.subfilters)}
+        self._max_delay = _ns(config.max_delay_s)
+        self._period = _Due(
+            _ns(config.covariance_period_s), _ns(config.height.period_s) if config.height.enabled else 0,
+            _ns(config.settle_period_s), _ns(config.feedback_period_s))
+        self._initials: list[InitialState] = []
+        self._out: dict[type, list[Any]] = {NavSolution: [], Judged: [], NavEvent: []}
+        self._last_ns: int | None = None
+        self._last_sequence: int | None = None
+        self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self._imu, self._queue, self._journal = ImuBuffer(), EventQueue(), Journal()
+        self._checkpoints: list[_Checkpoint] = []
+        self._due = _Due(0, 0, 0, 0)
+        self._dropped_samples = self._dropped_items = 0  # so that indices stay true when the oldest go
+        self._sample = self._cursor = 0  # the first not yet worked
+
+    # ---- input ----
+
+    def set_initial_state(self, initial: InitialState) -> str:
+        """Start, or start again, from a state that holds from its stamp on.
+
+        Parameters
+        ----------
+        initial : InitialState
+
+        Returns
+        -------
+        '' if it was taken, else one sentence why not
+        """
+        problem = initial.problem()
+        if problem:
+            return problem
+        stamps = [known.stamp_ns for known in self._initials]
+        running = self._filter.running
+        if initial.stamp_ns in stamps and running and initial.stamp_ns <= self._filter.started_ns:
+            return ""  # a latched message heard again
+        if running and (initial.stamp_ns <= self._filter.started_ns or self._is_late(initial.stamp_ns)):
+            return f"the initial state comes too late: its stamp is before the run, or more than {self.config.max_delay_s:g} s before the newest IMU sample"
+        if initial.stamp_ns in stamps:
+            self._initials[stamps.index(initial.stamp_ns)] = initial
+        else:
+            bisect.insort(self._initials, initial, key=lambda known: known.stamp_ns)
+        if running:
+            self._queue.add(initial.stamp_ns, RANK_INITIAL, initial)
+            self._take_in(initial.stamp_ns)
+        else:
+            self._advance()
+        return ""
+
+    def add_aid(self, aid: Aid) -> Reason:
+        """Take a measurement, whenever it arrives.
+
+        Returns
+        -------
+        Reason.NONE if it will be judged, else why it was counted and dropped
+        """
+        if aid.name not in self._rank:
+            return Reason.OPERATOR  # configured off
+        local = self._filter.subfilters[self._rank[aid.name]]
+        reason = local.defect(aid)
+        if reason is Reason.NONE and self._is_late(aid.stamp_ns):
+            local.late += 1
+            return Reason.LATE
+        if reason is Reason.NONE and (len(self._queue) >= MAX_WAITING or not self._queue.add(aid.stamp_ns, self._rank[aid.name], aid)):
+            reason = Reason.DUPLICATE
+        if reason is not Reason.NONE:
+            local.malformed += 1
+            return reason
+        self._take_in(aid.stamp_ns)
+        return Reason.NONE
+
+    def set_use(self, command: UseCommand) -> str:
+        """Exclude or restore a subfilter from a measurement time on; '' or one sentence why not."""
+        if command.name not in self._rank:
+            return f'there is no subfilter "{command.name}"; there are: {", ".join(self._rank)}'
+        if self._is_late(command.stamp_ns):
+            return f"the command is more than {self.config.max_delay_s:g} s older than the newest IMU sample"
+        if not self._queue.add(command.stamp_ns, RANK_COMMAND + self._rank[command.name], command):
+            return "there is a command of this stamp already"
+        self._take_in(command.stamp_ns)
+        return ""
+
+    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[np.uint32], rate: Array, force: Array) -> None:
+        """Take a block of samples of any length.
+
+        Parameters
+        ----------
+        stamp_ns : (m,), ends of the averaging intervals, ns
+        sequence : (m,), numbers of the source; a gap counts as lost
+        rate, force : (m, 3), mean body rate and specific force over the interval, rad/s, m/s^2, FRD
+        """
+        stamp_ns, sequence = np.asarray(stamp_ns, np.int64), np.asarray(sequence, np.int64)
+        self.imu_received += len(stamp_ns)
+        finite = np.isfinite(rate).all(axis=1) & np.isfinite(force).all(axis=1)
+        start = 0
+        while start < len(stamp_ns):
+            before = stamp_ns[start] - 1 if self._last_ns is None else self._last_ns
+            steps = np.diff(stamp_ns[start:], prepend=before)
+            unusual = np.flatnonzero(~(finite[start:] & (steps > 0) & (steps <= self._max_delay)))
+            stop = start + int(unusual[0]) if len(unusual) else len(stamp_ns)
+            self._append(stamp_ns[start:stop], sequence[start:stop], rate[start:stop], force[start:stop])
+            if stop == len(stamp_ns):
+                break
+            step = int(steps[stop - start])
+            if not finite[stop] or -self._max_delay <= step <= 0:
+                self.imu_rejected += 1
+                start = stop + 1
+            else:
+                self._restart(int(stamp_ns[stop]), step)
+                start = stop
+        self._advance()
+
+    # ---- output ----
+
+    def head(self) -> NavSolution | None:
+        """Newest state, provisional for `max_delay_s`; None before the start."""
+        return self._filter.solution() if self._filter.running else None
+
+    def drain_settled(self) -> list[SettledEpoch]:
+        """States that no measurement can change any more, oldest first."""
+        return self._drain(NavSolution)
+
+    def drain_judged(self) -> list[Judged]:
+        """Verdicts that no measurement can change any more, oldest first."""
+        return self._drain(Judged)
+
+    def drain_events(self) -> list[NavEvent]:
+        """What happened, settled, oldest first."""
+        return self._drain(NavEvent)
+
+    def status(self) -> FederatedReport:
+        """State of the subfilters and counts, as of the newest IMU sample."""
+        beta = self._filter.beta if self._filter.running else np.zeros(len(self._rank))
+        return FederatedReport(
+            self._last_ns or 0, self._filter.mode(), tuple(local.report(float(beta[i])) for i, local in enumerate(self._filter.subfilters)),
+            self.imu_received, self.imu_lost, self.imu_rejected, self.restarts, self.rollbacks)
+
+    def finish(self) -> None:
+        """End of the recording: everything is settled."""
+        self._collect(None)
+
+    @staticmethod
+    def warm_up() -> None:
+        """Compile the kernels on a made-up second of motion, so that the first real sample does not wait."""
+        navigator = Navigator(NavigatorConfig())
+        zero, sigma = np.zeros(3), np.ones(3)
+        navigator.set_initial_state(InitialState(0, 0.7, 0.1, 0.0, zero, zero, sigma, sigma, 0.01 * sigma))
+        stamps = np.arange(1, 201) * 10_000_000
+        navigator.add_aid(Aid("gps", 1_000_000_000, np.array([0.7, 0.1, 0.0]), np.zeros((3, 3))))
+        navigator.add_imu(stamps, np.arange(200), np.zeros((200, 3)), np.tile([0.0, 0.0, -9.8], (200, 1)))
+
+    # ---- ordering ----
+
+    def _is_late(self, stamp_ns: int) -> bool:
+        return self._last_ns is not None and self._last_ns - stamp_ns >= self._max_delay
+
+    def _append(self, stamp_ns: NDArray[np.int64], sequence: NDArray[np.int64], rate: Array, force: Array) -> None:
+        if len(stamp_ns) == 0:
+            return
+        first = stamp_ns[0] - self._last_ns if self._last_ns is not None else 0  # the first step of a run is counted from the initial state
+        dt = np.diff(stamp_ns, prepend=stamp_ns[0] - first) * 1e-9
+        gaps = np.diff(sequence, prepend=sequence[0] - 1 if self._last_sequence is None else self._last_sequence)
+        self.imu_lost += int(np.where((gaps > 1) & (gaps < LOST_BEYOND), gaps - 1, 0).sum())
+        self._imu.append(stamp_ns, np.asarray(rate, np.float64), np.asarray(force, np.float64), dt)
+        self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
+
+    def _restart(self, stamp_ns: int, step_ns: int) -> None:
+        """The IMU stamp has jumped: settle what was, and wait for an initial state near the new stamp."""
+        self._advance()
+        self._collect(None)
+        waiting = [self._queue[i] for i in range(self._cursor - self._dropped_items, len(self._queue))]
+        self._filter.stop()
+        self._clear()
+        self._last_ns = self._last_sequence = None
+        self.restarts += 1
+        for stamp, rank, item in waiting:
+            if step_ns > 0 and stamp > stamp_ns - self._max_delay:
+                self._queue.add(stamp, rank, item)
+            elif isinstance(item, Aid):
+                self._filter.subfilters[rank].late += 1
+        self._journal.add(stamp_ns, NavEvent(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state"))
+
+    def _take_in(self, stamp_ns: int) -> None:
+        """Work in a new item of the queue, going back if its time has passed."""
+        if not self._filter.running:
+            return
+        if stamp_ns <= self._filter.stamp_ns and self._sample > 0:
+            while len(self._checkpoints) > 1 and self._checkpoints[-1].stamp_ns >= stamp_ns:
+                self._checkpoints.pop()
+            self._return_to(self._checkpoints[-1])
+            self.rollbacks += 1
+        self._advance()
+
+    def _return_to(self, point: _Checkpoint) -> None:
+        self._filter.restore(point.filter)
+        self._sample, self._cursor, self._due = point.sample, point.cursor, point.due
+        self._journal.truncate(point.journal)
+
+    def _advance(self) -> None:
+        """Work everything up to the newest sample."""
+        if not self._filter.running and not self._begin():
+            return
+        imu, queue = self._imu, self._queue
+        k = self._sample - self._dropped_samples
+        while k < len(imu):
+            cursor = self._cursor - self._dropped_items
+            due = self._due.first()
+            if cursor < len(queue):
+                due = min(due, queue[cursor].stamp_ns)
+            stop = min(max(int(np.searchsorted(imu.stamp, due)), k), len(imu) - 1)
+            self._filter.integrate(imu.rate[k:stop + 1], imu.force[k:stop + 1], imu.dt[k:stop + 1], int(imu.stamp[stop]))
+            k = stop + 1
+            self._sample = k + self._dropped_samples
+            if imu.stamp[stop] >= due:
+                self._work(int(imu.stamp[stop]), stop)
+        self._trim()
+
+    def _begin(self) -> bool:
+        """Start from the earliest initial state that fits the samples at hand; until there is one, keep `max_delay_s` of them."""
+        stamps = self._imu.stamp
+        if len(stamps) == 0:
+            return False
+        fitting = [known for known in self._initials if stamps[0] - self._max_delay <= known.stamp_ns < stamps[-1]]
+        if not fitting:
+            self._drop_samples(int(np.searchsorted(stamps, stamps[-1] - self._max_delay)))
+            self._sample = self._dropped_samples
+            return False
+        initial = fitting[0]
+        first = int(np.searchsorted(stamps, initial.stamp_ns, side="right"))
+        self._imu.dt[first] = (stamps[first] - initial.stamp_ns) * 1e-9
+        self._sample = first + self._dropped_samples
+        self._filter.start(initial)
+        for later in fitting[1:] + [known for known in self._initials if known.stamp_ns >= stamps[-1]]:
+            self._queue.add(later.stamp_ns, RANK_INITIAL, later)
+        while self._cursor - self._dropped_items < len(self._queue) and self._queue[self._cursor - self._dropped_items].stamp_ns <= initial.stamp_ns:
+            _, rank, item = self._queue[self._cursor - self._dropped_items]
+            if isinstance(item, Aid):
+                self._filter.subfilters[rank].refuse(Reason.NOT_READY)
+            elif isinstance(item, UseCommand):
+                self._filter.subfilters[self._rank[item.name]].use(item.stamp_ns, item.use)
+            self._cursor += 1
+        self._schedule(initial.stamp_ns)
+        self._journal.add(initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}"))
+        self._checkpoints = [self._checkpoint(initial.stamp_ns)]
+        return True
+
+    def _schedule(self, stamp_ns: int) -> None:
+        never = 2**62
+        period = self._period
+        self._due = _Due(
+            stamp_ns + period.covariance, stamp_ns + period.height if period.height else never, stamp_ns + period.settle,
+            stamp_ns + period.feedback if period.feedback else never)
+
+    def _work(self, stamp_ns: int, sample: int) -> None:
+        """Do what is due at a sample that has just been integrated."""
+        flt, due, period = self._filter, self._due, self._period
+        flt.propagate()
+        due = replace(due, covariance=stamp_ns + period.covariance)
+        corrected = False
+        while self._cursor - self._dropped_items < len(self._queue):
+            stamp, rank, item = self._queue[self._cursor - self._dropped_items]
+            if stamp > stamp_ns:
+                break
+            self._cursor += 1
+            if isinstance(item, Aid) and stamp <= flt.started_ns:
+                flt.subfilters[rank].refuse(Reason.NOT_READY)
+            elif isinstance(item, Aid):
+                judged, change = flt.judge(rank, item)
+                self._journal.add(stamp, judged)
+                self._note(item.name, change)
+                corrected |= judged.accepted
+            elif isinstance(item, UseCommand):
+                self._note(item.name, flt.subfilters[self._rank[item.name]].use(stamp, item.use))
+            else:
+                self._start_again(item, sample)
+                due = self._due
+        if stamp_ns >= due.height:
+            flt.fuse_height()
+            corrected = True
+            due = replace(due, height=_next(due.height, period.height, stamp_ns))
+        if (corrected and not period.feedback) or stamp_ns >= due.feedback:
+            flt.feed_back()
+            due = replace(due, feedback=_next(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
+        for local in flt.subfilters:
+            self._note(local.name, local.watch(stamp_ns, flt.started_ns))
+        if stamp_ns >= due.settle:
+            self._journal.add(stamp_ns, flt.solution())
+            due = replace(due, settle=_next(due.settle, period.settle, stamp_ns))
+        self._due = due
+        margin = self._max_delay + 2 * period.covariance
+        if self._last_ns is not None and stamp_ns > self._last_ns - margin and stamp_ns >= self._checkpoints[-1].stamp_ns + period.covariance // 4:
+            self._checkpoints.append(self._checkpoint(stamp_ns))
+
+    def _start_again(self, initial: InitialState, sample: int) -> None:
+        """Re-initialise within the sample that has just been integrated, and integrate what is left of it."""
+        imu = self._imu
+        self._filter.start(initial)
+        rest = (int(imu.stamp[sample]) - initial.stamp_ns) * 1e-9
+        if rest > 0.0:
+            one = slice(sample, sample + 1)
+            self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), int(imu.stamp[sample]))
+            self._filter.propagate()
+        self._schedule(initial.stamp_ns)
+        self._journal.add(initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}"))
+
+    def _note(self, name: str, change: Change | None) -> None:
+        if change is not None:
+            reason = f" ({Reason(change.reason).name.lower()})" if change.reason else ""
+            text = f"{name}: {change.previous.name.lower()} -> {change.state.name.lower()}{reason}"
+            self._journal.add(change.stamp_ns, NavEvent(change.stamp_ns, text))
+
+    def _checkpoint(self, stamp_ns: int) -> _Checkpoint:
+        return _Checkpoint(stamp_ns, self._sample, self._cursor, len(self._journal), self._due, self._filter.snapshot())
+
+    def _trim(self) -> None:
+        """Forget what no measurement can bring back."""
+        if self._last_ns is None or len(self._checkpoints) < 2:
+            return
+        horizon = self._last_ns - self._max_delay
+        keep = max(bisect.bisect_right(self._checkpoints, horizon, key=lambda point: point.stamp_ns) - 1, 0)
+        if keep == 0:
+            return
+        del self._checkpoints[:keep]
+        oldest = self._checkpoints[0]
+        self._drop_samples(oldest.sample - self._dropped_samples)
+        gone = oldest.cursor - self._dropped_items
+        self._queue.drop(gone)
+        self._dropped_items += gone
+
+    def _drop_samples(self, n: int) -> None:
+        self._imu.drop(n)
+        self._dropped_samples += n
+
+    def _collect(self, until_ns: int | None) -> None:
+        for entry in self._journal.take(2**63 - 1 if until_ns is None else until_ns):
+            self._out[type(entry)].append(entry)
+
+    def _drain(self, kind: type) -> list[Any]:
+        if self._last_ns is not None:
+            self._collect(self._last_ns - self._max_delay)
+        out, self._out[kind] = self._out[kind], []
+        return out
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
+def _next(due: int, period: int, stamp_ns: int) -> int:
+    """First stamp of the grid after `stamp_ns`."""
+    return due + period * ((stamp_ns - due) // period + 1)

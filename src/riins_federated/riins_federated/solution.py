@@ -1,0 +1,93 @@
+"""What the navigator says of its state: modes, validity flags, protection radius.
+
+Lives here: `solution`, which turns nominal state, error estimate and covariance into a NavSolution.
+Does not live here: the filter (integrated_filter.py), the message (riins_node.fields).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from riins_core.earth import earth_rate_n, transport_rate_n
+from riins_core.rotation import euler_from_dcm
+from riins_fdi.innovation import nis_threshold
+
+from .config import ValidityLimits
+from .error_filter import correct
+from .types import Array, Mode, NavSolution, Validity
+
+P95 = nis_threshold(0.05, 2)
+"""Square of the 95 % radius of a circular unit normal."""
+
+
+def body_rate(nav: Array, rate_ib: Array) -> Array:
+    """Rate of the body relative to NED, (3,), rad/s, FRD, from its inertial rate less bias."""
+    w_in = earth_rate_n(nav[0]) + transport_rate_n(nav[0], nav[2], nav[3:6])
+    return np.asarray(rate_ib - nav[6:15].reshape(3, 3).T @ w_in)
+
+
+def solution(
+    stamp_ns: int, nav: Array, parameters: Array, rate: Array, force: Array, x: Array, P: Array, mode: Mode, limits: ValidityLimits,
+    reset_count: int, reset: tuple[float, float, float],
+) -> NavSolution:
+    """Corrected navigation state with its accuracy and validity.
+
+    Parameters
+    ----------
+    stamp_ns : measurement time
+    nav, parameters : (16,), (11,), nominal state, see error_filter.correct
+    rate, force : (3,), last sample, rad/s, m/s^2, FRD
+    x, P : (20,), (20, 20), estimated error state and covariance
+    mode, limits, reset_count, reset : as in NavSolution
+
+    Returns
+    -------
+    NavSolution
+    """
+    nav, parameters = nav.copy(), parameters.copy()
+    if x.any():
+        correct(nav, parameters, x)
+    C_nb = nav[6:15].reshape(3, 3)
+    roll, pitch, heading = euler_from_dcm(C_nb)
+    bias_g = parameters[0:3] + parameters[6:9]
+    lon = (nav[1] + math.pi) % (2.0 * math.pi) - math.pi
+    major = horizontal_variance(P[0:2, 0:2])
+    return NavSolution(
+        stamp_ns, float(nav[0]), lon, float(nav[2]), nav[3:6].copy(), np.array([roll, pitch, heading]), C_nb.copy(),
+        body_rate(nav, rate - bias_g), force - parameters[3:6], bias_g, parameters[3:6].copy(), P.copy(), mode,
+        validity(P, float(nav[0]), mode, limits), math.sqrt(nis_threshold(limits.integrity_risk, 2) * major), reset_count, reset)
+
+
+def horizontal_variance(P: Array) -> float:
+    """Larger eigenvalue of a 2 x 2 covariance."""
+    mean, half = 0.5 * (P[0, 0] + P[1, 1]), 0.5 * (P[0, 0] - P[1, 1])
+    return float(mean + math.sqrt(half * half + P[0, 1] * P[0, 1]))
+
+
+def validity(P: Array, lat: float, mode: Mode, limits: ValidityLimits) -> tuple[Validity, Validity, Validity]:
+    """Validity of position, velocity and heading (MSC.252(83)).
+
+    A datum is valid while its 95 % error is within the limit and an aid supports it; doubtful beyond that or while coasting; invalid
+    beyond the outer limit or without a solution. The heading of an inertial system does not need the aids from minute to minute,
+    so coasting alone does not make it doubtful.
+    """
+    if mode not in (Mode.NAVIGATING, Mode.COASTING):
+        return (Validity.INVALID,) * 3
+    secant = 1.0 / max(math.cos(lat), 1e-6)
+    position = math.sqrt(P95 * horizontal_variance(P[0:2, 0:2]))
+    velocity = math.sqrt(P95 * horizontal_variance(P[3:5, 3:5]))
+    heading = 1.96 * math.degrees(math.sqrt(P[8, 8]))
+    supported = mode is Mode.NAVIGATING
+
+    def judge(error: float, limit: float, outer: float, supported: bool) -> Validity:
+        if not error <= outer:
+            return Validity.INVALID
+        return Validity.VALID if error <= limit and supported else Validity.DOUBTFUL
+
+    return (
+        judge(position, limits.position_m, limits.position_invalid_m, supported),
+        judge(velocity, limits.velocity_mps, limits.velocity_invalid_mps, supported),
+        judge(heading, limits.heading_deg * secant, limits.heading_invalid_deg * secant, True))
+
+

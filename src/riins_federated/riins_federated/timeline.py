@@ -1,0 +1,119 @@
+"""Order by measurement time: the IMU buffer, the aids that wait, and the journal of what is not settled yet.
+
+Lives here: `ImuBuffer`, `EventQueue`, `Journal`, all of them integer nanoseconds and no navigation.
+Does not live here: the filter and its roll-back (navigator.py).
+"""
+
+from __future__ import annotations
+
+import bisect
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .types import Array
+
+
+class ImuBuffer:
+    """IMU samples from the oldest checkpoint to the newest arrival.
+
+    Attributes
+    ----------
+    stamp : (m,) int64, ns
+    rate, force : (m, 3), FRD
+    dt : (m,), s, since the sample before
+    """
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget every sample."""
+        self.stamp: NDArray[np.int64] = np.empty(0, np.int64)
+        self.rate: Array = np.empty((0, 3))
+        self.force: Array = np.empty((0, 3))
+        self.dt: Array = np.empty(0)
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def append(self, stamp: NDArray[np.int64], rate: Array, force: Array, dt: Array) -> None:
+        """Add samples that follow the last one."""
+        self.stamp = np.concatenate([self.stamp, stamp])
+        self.rate = np.concatenate([self.rate, rate])
+        self.force = np.concatenate([self.force, force])
+        self.dt = np.concatenate([self.dt, dt])
+
+    def drop(self, n: int) -> None:
+        """Forget the oldest n samples."""
+        if n > 0:
+            self.stamp, self.rate, self.force, self.dt = self.stamp[n:], self.rate[n:], self.force[n:], self.dt[n:]
+
+
+class Timed(NamedTuple):
+    """An item of the event queue, ordered by stamp, then rank (a fixed order of the sources)."""
+
+    stamp_ns: int
+    rank: int
+    item: Any
+
+
+class EventQueue:
+    """Everything that happens at a measurement time, in an order that does not depend on arrival."""
+
+    def __init__(self) -> None:
+        self._items: list[Timed] = []
+        self._keys: set[tuple[int, int]] = set()
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def add(self, stamp_ns: int, rank: int, item: Any) -> bool:
+        """Insert; False if that source already has an item of that stamp."""
+        if (stamp_ns, rank) in self._keys:
+            return False
+        bisect.insort(self._items, Timed(stamp_ns, rank, item), key=lambda t: t[:2])
+        self._keys.add((stamp_ns, rank))
+        return True
+
+    def index_after(self, stamp_ns: int) -> int:
+        """Index of the first item later than a stamp."""
+        return bisect.bisect_right(self._items, stamp_ns, key=lambda t: t.stamp_ns)
+
+    def __getitem__(self, index: int) -> Timed:
+        return self._items[index]
+
+    def drop(self, n: int) -> list[Timed]:
+        """Remove and return the n oldest."""
+        gone, self._items = self._items[:n], self._items[n:]
+        self._keys.difference_update((t.stamp_ns, t.rank) for t in gone)
+        return gone
+
+
+class Journal:
+    """Results in the order of measurement time; the tail can be taken back, the head is handed out once it is settled."""
+
+    def __init__(self) -> None:
+        self._entries: list[tuple[int, Any]] = []
+        self._given = 0
+
+    def __len__(self) -> int:
+        """Length since the beginning of the run, what was handed out included."""
+        return self._given + len(self._entries)
+
+    def add(self, stamp_ns: int, entry: Any) -> None:
+        """Note a result."""
+        self._entries.append((stamp_ns, entry))
+
+    def truncate(self, length: int) -> None:
+        """Take back what was noted after the journal had this length."""
+        del self._entries[length - self._given:]
+
+    def take(self, until_ns: int) -> list[Any]:
+        """Hand out what is not later than a stamp."""
+        n = bisect.bisect_right(self._entries, until_ns, key=lambda entry: entry[0])
+        out = [entry for _, entry in self._entries[:n]]
+        del self._entries[:n]
+        self._given += n
+        return out

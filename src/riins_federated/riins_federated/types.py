@@ -1,0 +1,235 @@
+"""What goes into the navigator and what comes out of it, as plain dataclasses.
+
+Lives here: initial state, aid measurement, settled epoch, judged innovation, commands, counters and their enumerations (values as in riins_msgs).
+Does not live here: parameters (config.py), messages (riins_node.fields), any computation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Mode(IntEnum):
+    """Mode of the navigator, NavState.MODE_*."""
+
+    WAITING = 0
+    ALIGNMENT = 1
+    NAVIGATING = 2
+    COASTING = 3
+    FAILED = 4
+
+
+class Validity(IntEnum):
+    """Validity of a datum in the sense of IMO MSC.252(83)."""
+
+    VALID = 0
+    DOUBTFUL = 1
+    INVALID = 2
+
+
+class Reason(IntEnum):
+    """Why a measurement was not fused, SubfilterStatus.REASON_*."""
+
+    NONE = 0
+    NIS = 1
+    HOLD = 2
+    LATE = 3
+    NOT_FINITE = 4
+    NO_FIX = 5
+    COVARIANCE = 6
+    OPERATOR = 7
+    SEPARATION = 8
+    NOT_READY = 9
+    DUPLICATE = 10
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """State the navigator starts from.
+
+    Attributes
+    ----------
+    stamp_ns : measurement time at which it holds
+    lat, lon, h : rad, rad, m above the ellipsoid
+    v_n : (3,), m/s, NED
+    rph : (3,), roll, pitch, heading, rad
+    sigma_position, sigma_velocity, sigma_attitude : (3,), m, m/s, rad, NED
+    sigma_gyro_bias, sigma_accel_bias : (3,), rad/s, m/s^2, FRD; zeros: the navigator's own
+    covariance : None, or (15, 15) in the order of riins_core.ins_error.State; overrides the sigmas
+    source : who says so
+    """
+
+    stamp_ns: int
+    lat: float
+    lon: float
+    h: float
+    v_n: Array
+    rph: Array
+    sigma_position: Array
+    sigma_velocity: Array
+    sigma_attitude: Array
+    sigma_gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    sigma_accel_bias: Array = field(default_factory=lambda: np.zeros(3))
+    covariance: Array | None = None
+    source: str = ""
+
+    def problem(self) -> str:
+        """What is wrong with it, one sentence, or '' when it can be used."""
+        numbers = np.concatenate([[self.lat, self.lon, self.h], self.v_n, self.rph])
+        sigmas = np.concatenate([self.sigma_position, self.sigma_velocity, self.sigma_attitude, self.sigma_gyro_bias, self.sigma_accel_bias])
+        if not (np.isfinite(numbers).all() and np.isfinite(sigmas).all()):
+            return "the initial state holds a value that is not finite"
+        if abs(self.lat) > np.radians(89.9):
+            return "the initial latitude is beyond 89.9 deg: NED is singular at the poles"
+        if self.covariance is not None:
+            if np.shape(self.covariance) != (15, 15) or not np.isfinite(self.covariance).all():
+                return "the initial covariance must be 15 x 15 and finite"
+            if np.linalg.eigvalsh(self.covariance / np.sqrt(np.outer(*[np.maximum(np.diag(self.covariance), 1e-300)] * 2))).min() < -1e-9:
+                return "the initial covariance is not positive semidefinite"
+        elif (sigmas[:9] <= 0.0).any() or (sigmas < 0.0).any():
+            return "the initial sigmas of position, velocity and attitude must be positive"
+        return ""
+
+
+@dataclass(frozen=True)
+class Aid:
+    """One measurement of an aid.
+
+    Attributes
+    ----------
+    name : the subfilter it is for
+    stamp_ns : measurement time
+    z : (3,), position: latitude, longitude [rad], height [m]; velocity: forward, starboard, down [m/s] (NaN third: not measured)
+    R : (3, 3), covariance, NED m^2 or FRD (m/s)^2; all zeros: unknown, the configured sigma is used
+    ok : False: the sensor says it has no fix
+    """
+
+    name: str
+    stamp_ns: int
+    z: Array
+    R: Array
+    ok: bool = True
+
+
+@dataclass(frozen=True)
+class UseCommand:
+    """The operator excludes or restores a subfilter from a measurement time on."""
+
+    name: str
+    use: bool
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class NavSolution:
+    """Navigation state at one instant, after output correction.
+
+    Attributes
+    ----------
+    stamp_ns : measurement time
+    lat, lon, h : rad, rad, m
+    v_n : (3,), m/s, NED
+    rph : (3,), roll, pitch, heading 0..2 pi, rad
+    C_nb : (3, 3)
+    rate_b : (3,), body rate relative to NED, rad/s, FRD
+    force_b : (3,), specific force less bias, m/s^2, FRD
+    bias_g, bias_a : (3,), rad/s, m/s^2, FRD
+    P : (n, n), covariance of the error state, order of `error_filter.NavError`
+    mode : Mode
+    validity : (position, velocity, heading)
+    protection_radius : m, horizontal, at the configured integrity risk
+    reset_count : corrections larger than one sigma, and re-initialisations
+    reset : (position [m], velocity [m/s], heading [rad]) of the last of them
+    """
+
+    stamp_ns: int
+    lat: float
+    lon: float
+    h: float
+    v_n: Array
+    rph: Array
+    C_nb: Array
+    rate_b: Array
+    force_b: Array
+    bias_g: Array
+    bias_a: Array
+    P: Array
+    mode: Mode
+    validity: tuple[Validity, Validity, Validity]
+    protection_radius: float
+    reset_count: int
+    reset: tuple[float, float, float]
+
+
+SettledEpoch = NavSolution
+
+
+@dataclass(frozen=True)
+class Judged:
+    """An aid measurement and the verdict on it.
+
+    Attributes
+    ----------
+    stamp_ns, name : as in Aid
+    innovation, sigma, standardized : (m,), measured - predicted, its 1 sigma, whitened by the Cholesky factor
+    nis, threshold : dimensionless, chi-square with m degrees of freedom
+    accepted : it entered the navigation state
+    reason : Reason, NONE when accepted
+    """
+
+    stamp_ns: int
+    name: str
+    innovation: Array
+    sigma: Array
+    standardized: Array
+    nis: float
+    threshold: float
+    accepted: bool
+    reason: Reason
+
+
+@dataclass(frozen=True)
+class NavEvent:
+    """Something an operator wants to know, one line."""
+
+    stamp_ns: int
+    text: str
+
+
+@dataclass(frozen=True)
+class SubfilterReport:
+    """State of one local filter; counters are exact for everything judged up to the newest IMU sample."""
+
+    name: str
+    state: int
+    reason: Reason
+    stamp_ns: int
+    since_ns: int
+    statistic: float
+    threshold: float
+    beta: float
+    information_trace: tuple[float, float]
+    accepted: int
+    rejected: int
+    late: int
+    malformed: int
+
+
+@dataclass(frozen=True)
+class FederatedReport:
+    """State of the federated filter."""
+
+    stamp_ns: int
+    mode: Mode
+    subfilters: tuple[SubfilterReport, ...]
+    imu_received: int
+    imu_lost: int
+    imu_rejected: int
+    restarts: int
+    rollbacks: int
