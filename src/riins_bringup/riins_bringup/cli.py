@@ -81,11 +81,11 @@ def sail(
 
     Example: [bold]riins sail voyage_12h --out out/voyage --json out/voyage.json[/bold]
     """
-    from riins_eval import offline
-
     kind = record or (Record.nav if out else Record.none)
     if out is None and kind is not Record.none:
         raise typer.BadParameter("--record needs --out BAG")
+    from riins_eval import offline
+
     with _Progress(f"sail {scenario}") as progress:
         run = offline.sail(scenario, seed=seed, bag=out if kind is not Record.none else None, record=kind.value, progress=progress, twins=twins)
     return _judge(run.score, run.expect, json_file)

@@ -1,0 +1,80 @@
+"""The command line: help with examples, exit status, one-line errors, no heavy import before a verb runs.
+
+Lives here: tests of riins_bringup.cli without running nodes.
+Does not live here: `riins up` (test/ at top level), the work behind the verbs (their packages).
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from riins_bringup.cli import main
+
+VERBS = ["geometry", "sail", "navigate", "score", "report", "up", "import", "demo", "bag info", "bag recover", "bag play"]
+
+
+@pytest.mark.parametrize("verb", ["", "bag", *VERBS])
+def test_help_at_every_level_has_an_example(verb, capsys):
+    assert main([*verb.split(), "--help"]) == 0
+    assert "Example" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys, riins_bringup.cli as c; c.main(['--help']); print([m for m in ('numpy', 'scipy', 'numba', 'rclpy', 'yaml') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["saill"], "sail"),
+        (["geometry", "--jason", "x"], "--json"),
+        (["up"], "SCENARIO or --bag"),
+        (["up", "harbour", "--bag", "x"], "SCENARIO or --bag"),
+        (["up", "harbour", "--rate", "fast"], "rate"),
+        (["up", "harbour", "--rate", "0"], "rate"),
+        (["up", "harbor"], "harbour"),
+        (["up", "harbour", "--record", "."], "exists already"),
+        (["bag", "info", "/no/such/bag"], "/no/such/bag"),
+        (["geometry", "/no/such/file"], "/no/such/file"),
+        (["sail", "harbour", "--record", "nav"], "--out"),
+    ],
+)
+def test_bad_use_is_one_line_and_status_2(words, message, capsys):
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("riins: error: ") and error.count("\n") == 1 and message in error
+
+
+def test_scenario_with_a_typo_names_line_and_cure(tmp_path, capsys):
+    path = tmp_path / "typo.yaml"
+    path.write_text("name: typo\nduration_s: 20.0\nstart: {latitude_deg: 1.0, longitude_deg: 2.0, sped_kn: 5.0}\n")
+    assert main(["up", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "typo.yaml:3" in error and "speed_kn" in error and error.count("\n") == 1
+
+
+def test_geometry_of_the_thesis(capsys, tmp_path):
+    assert main(["geometry", "--json", str(tmp_path / "g.json")]) == 0
+    out = capsys.readouterr().out
+    assert "35.2644" in out and "31.7175" in out and "0.4472*" in out
+    figures = json.loads((tmp_path / "g.json").read_text())
+    assert figures["table_2_1"]["3"][3] == pytest.approx({"n": 6, "theta": 2.85, "delta": 0.5, "figure": 0.475})
+    assert figures["isolation"]["orthogonal"][2]["gdop"] is None  # both sensors of one axis gone: no solution
+
+
+def test_geometry_of_a_file(tmp_path, capsys):
+    path = tmp_path / "axes.txt"
+    path.write_text("# forward, starboard, down\n1 0 0\n0, 1, 0\n0 0 1\n0.57735026919 0.57735026919 0.57735026919\n")
+    assert main(["geometry", str(path)]) == 0
+    assert "4 sensors" in capsys.readouterr().out
+    for text, message in (("1 0 0\n0 1 0\n", "3 <= n"), ("1 0 0\n0 1 0\n0 0 2\n", "sensor 3"), ("1 0 0\n0 1\n0 0 1\n", ""), ("a b c\n", "a")):
+        path.write_text(text)
+        assert main(["geometry", str(path)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and message in error and "axes.txt" in error
