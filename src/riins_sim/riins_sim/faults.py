@@ -1,6 +1,6 @@
 """Faults put on sensors: steps, ramps, stuck values, noise, scale errors and dropouts, as a function of stamp and value alone.
 
-Lives here: `FaultSettings` (as a scenario writes it), `Fault` (SI), `FaultSchedule`, which serves simulated sensors, imported recordings and services.
+Lives here: `FaultSettings` (as a scenario writes it), `Fault` (SI), `FaultSchedule`, for simulated sensors, imported recordings and services.
 Does not live here: the sensors (sensors.py), what finds the faults.
 """
 

@@ -40,6 +40,7 @@ class DrawnInitialState:
     sigma_gyro_bias, sigma_accel_bias : (3,), FRD, of the fused triad, rad/s, m/s^2
     covariance : (15, 15), order of riins_core.ins_error.State: position, velocity, phi (NED), gyro bias, accelerometer bias (FRD)
     error : (15,), the errors drawn, computed - true; biases measured - true (the initial estimate of a bias is 0, so these are minus its error)
+    source : who says so, for riins_msgs/InitialState
     """
 
     stamp_ns: int
@@ -55,6 +56,7 @@ class DrawnInitialState:
     sigma_accel_bias: Array
     covariance: Array
     error: Array
+    source: str = "scenario"
 
 
 def initial_state(scenario: Scenario, trajectory: Trajectory, seed: int | None = None) -> DrawnInitialState:

@@ -42,7 +42,7 @@ class ImuSettings:
     """The redundant IMU at base_link: geometry and the errors of EACH sensor."""
 
     configuration: str = setting("dodecahedron", "six-sensor configuration", choices=tuple(CONFIGURATIONS))
-    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "of the IMU in the body, FRD: base_link is at the IMU, so zero", "m", 0.0, 0.0, length=3)
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "of the IMU in the body; base_link is at the IMU, so zero", "m", 0.0, 0.0, length=3)
     gyro: GyroErrors = section(GyroErrors, "errors of each gyro; a value is the 1-sigma from which the seed draws")
     accel: AccelErrors = section(AccelErrors, "errors of each accelerometer")
     gyro_range_deg_s: float = setting(300.0, "a gyro saturates here", "deg/s", low=1.0)

@@ -1,7 +1,7 @@
 """What the sensors of the ship read: redundant IMU, satellite receivers, Doppler log.
 
-Lives here: `RedundantImuSim`, `PositionSim`, `DopplerSim` and their blocks. Sample k is a pure function of scenario, seed and k; the fault-free twin is the
-same call without faults. Does not live here: the motion (trajectory.py), stochastic models (riins_core.sensor_errors), faults (faults.py).
+Lives here: `RedundantImuSim`, `PositionSim`, `DopplerSim` and their blocks. Sample k is a pure function of scenario, seed and k; the fault-free
+twin is the same call without faults. Does not live here: motion (trajectory.py), stochastic models (riins_core.sensor_errors), faults (faults.py).
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ class PositionBlock:
     ----------
     k : (m,), numbers of the fixes
     stamp_ns : (m,), since the start of the scenario
-    lat, lon, h : (m,), rad, rad, m
+    lat, lon, h : (m,), rad, rad, m; NaN without a fix
     covariance : (3, 3), NED, m^2, as the receiver states it
     has_fix : (m,), False in an outage or dropout
-    v_n : (m, 3), NED, m/s
+    v_n : (m, 3), NED, m/s; NaN without a fix
     velocity_covariance : (3, 3), NED, (m/s)^2
     """
 
@@ -286,6 +286,8 @@ class PositionSim(_Aid):
         v_b = np.empty((m, 3))
         _sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
         _turned(truth.C_nb, v_b, v_n)
+        place[~has_fix] = np.nan
+        v_n[~has_fix] = np.nan
         return PositionBlock(k, stamp, place[:, 0], place[:, 1], place[:, 2], self.covariance, has_fix, v_n, self.velocity_covariance)
 
     def _clean(self, k0: int, truth: Truth) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """The voyage as it truly is: position, velocity, attitude at any time, and exactly the IMU increments that belong to them.
 
-Lives here: `Trajectory`, `Truth`. Between knots 0.1 s apart the truth *is* a quintic polynomial in position and roll, pitch, heading, twice continuously
-differentiable; velocity, body rate and specific force are its exact kinematics, so nothing is lost between what is said and what is sensed.
+Lives here: `Trajectory`, `Truth`. Between knots 0.1 s apart the truth *is* a quintic polynomial in position, roll, pitch and heading, twice
+continuously differentiable; velocity, body rate and specific force are its exact kinematics: nothing is lost between what is said and sensed.
 Does not live here: the kernels (kinematics.py), the ship (course.py, vessel.py), errors of sensors (sensors.py).
 """
 

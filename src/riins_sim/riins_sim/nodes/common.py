@@ -1,0 +1,120 @@
+"""What the simulated sensors have in common as nodes: parameters, scenario, pacing, fault services.
+
+Lives here: `SimSettings`, `SimNode`.
+Does not live here: what a sensor reads (riins_sim.sensors), what a message holds (riins_node.fields).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.node import Node
+
+from riins_core.settings import SettingError, setting
+from riins_msgs.msg import FaultArray
+from riins_msgs.srv import ClearFaults, InjectFault
+from riins_node import fields, qos
+from riins_node.convert import fill, read_fault
+from riins_node.pace import Pacer, Stream
+from riins_node.parameters import declare
+
+from .. import scenario as scenarios
+from ..faults import Fault, FaultType
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """Parameters of a simulated sensor."""
+
+    scenario: str = setting("harbour", "scenario: the name of a shipped one or a YAML file")
+    start_at_ns: int = setting(0, "measurement time of sample 0, the same for all sensors of a run; 0: now", "ns", low=0)
+    rate: float = setting(1.0, "speed in times real time", low=0.01, high=100.0)
+    seed: int = setting(-1, "seed of all noise; -1: the scenario's", low=-1)
+    k_start: int = setting(-1, "first sample to publish; -1: the next that falls due, so a restarted node goes on where it would be", low=-1)
+
+
+class SimNode(Node):
+    """Base of the simulated sensors.
+
+    Parameters
+    ----------
+    name : of the node
+    targets : what the faults of this node may be put on: "gyro", "accel" or the name of an aid; empty: no fault services
+    frame_id : of its messages
+    settings_class : SimSettings or a subclass
+    """
+
+    def __init__(self, name: str, targets: Sequence[str] = (), frame_id: str = "", settings_class: type[SimSettings] = SimSettings) -> None:
+        super().__init__(name)
+        self.settings = declare(self, settings_class)
+        self.scenario = scenarios.load(self.settings.scenario).with_seed(self.settings.seed)
+        self.frame_id = frame_id
+        self.faults = self.scenario.fault_schedule().only(targets)
+        self._targets = targets
+        self._streams: list[Stream] = []
+
+    def begin(self) -> None:
+        """Start the clock and the fault services; call it when everything slow (trajectory, compilation) is done."""
+        self.pacer = Pacer(self, self.settings.start_at_ns, self.settings.rate)
+        if self._targets:
+            self._fault_publisher = self.create_publisher(FaultArray, "truth/faults", qos.latched(), qos_overriding_options=qos.overridable())
+            self.create_service(InjectFault, "~/inject_fault", self._inject)
+            self.create_service(ClearFaults, "~/clear_faults", self._clear)
+            self._publish_faults()
+
+    def pace(self, period_ns: int, samples: int, emit: Any, k_start: int | None = None) -> Stream:
+        """Call `emit(k0, m)` for samples k_start .. samples as they fall due; then the stream ends."""
+        first = self.settings.k_start if k_start is None else k_start
+        if first == 0 or (first < 0 and self.settings.start_at_ns == 0):
+            first = 1  # sample 0 is the start itself, nobody measures there
+
+        def bounded(k0: int, m: int) -> None:
+            if k0 <= samples:
+                emit(k0, min(m, samples + 1 - k0))
+            if k0 + m > samples:
+                stream.stop()
+                self.get_logger().info(f"end of scenario {self.scenario.name} at sample {samples}")
+
+        stream = self.pacer.stream(period_ns, bounded, first)
+        self._streams.append(stream)
+        start, rate = self.pacer.start_at_ns, self.settings.rate
+        self.get_logger().info(f"{self.scenario.name}: start at {start} ns, first sample {stream.next_k}, {rate:g} x real time")
+        return stream
+
+    def next_stamp_ns(self) -> int:
+        """Stamp of the next sample, ns since the start."""
+        raise NotImplementedError
+
+    def _inject(self, request: InjectFault.Request, response: InjectFault.Response) -> InjectFault.Response:
+        try:
+            values = read_fault(request.fault, self.pacer.start_at_ns)
+            if values["start_ns"] is None:
+                values["start_ns"] = self.next_stamp_ns()
+            fault = Fault(**{**values, "type": FaultType(values["type"])})
+            if fault.target.partition("_")[0] not in self._targets or not self._exists(fault):
+                raise SettingError(f"this node has no {fault.target}")
+        except ValueError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self.faults.add(fault)
+        self._publish_faults()
+        response.success, response.message = True, f"{fault.type.name.lower()} on {fault.target} from {fault.start_ns * 1e-9:.3f} s"
+        self.get_logger().warning(response.message)
+        return response
+
+    def _exists(self, fault: Fault) -> bool:
+        return True
+
+    def _clear(self, request: ClearFaults.Request, response: ClearFaults.Response) -> ClearFaults.Response:
+        response.cleared = self.faults.clear(request.target)
+        response.success = True
+        response.message = f"{response.cleared} faults cleared"
+        self._publish_faults()
+        return response
+
+    def _publish_faults(self) -> None:
+        message = fields.fault_array(max(self.pacer.now_ns(), 0), self.faults.faults, self.pacer.start_at_ns)
+        message["header"]["frame_id"] = self.frame_id  # tells the nodes' arrays apart, also an empty one
+        self._fault_publisher.publish(fill(FaultArray, message))
