@@ -35,11 +35,15 @@ _PLAIN_PERIOD_S = 5.0
 
 @dataclass
 class Outcome:
-    """How a run ended: `status` 0 (scenario end or on the user's word) or 1, one line, the dead node if one died."""
+    """How a run ended: `status` 0 (scenario end or on the user's word) or 1, one line, the dead node if one died, whether all had started.
+
+    A node interrupted while Python still imports its modules cannot end with status 0.
+    """
 
     status: int
     ended: str
     dead: Exit | None = None
+    started: bool = True
 
 
 class Interrupt:
@@ -204,7 +208,7 @@ def run_live(graph: Graph, *, console: Console, directory: Path | None = None, r
         run.processes.stop()
         time.sleep(0.2)  # the last messages of the stopped nodes are still on their way to the monitor
         bad = [e for e in run.processes.exited() if e.status != 0]
-        if outcome.status == 0 and bad:
+        if outcome.status == 0 and outcome.started and bad:
             outcome = Outcome(1, f"{bad[0]} when it was stopped", bad[0])
         summary = {"title": graph.title, "status": outcome.status, "ended": outcome.ended, "bag": record or None, "logs": str(directory), **run.monitor.summary()}
         summary["nodes"] = {e.name: e.status for e in run.processes.exited()}
@@ -228,10 +232,10 @@ def _run(run: LiveRun, console: Console, stop: threading.Event) -> Outcome:
     try:
         run.start(check)
     except _Stopped:
-        return Outcome(0, "stopped by the user while starting")
+        return Outcome(0, "stopped by the user while starting", started=False)
     except GraphError as error:
         dead = run.dead()
-        return Outcome(1, str(dead) if dead else str(error), dead)
+        return Outcome(1, str(dead) if dead else str(error), dead, started=False)
     with _display(run, console) as draw:
         while True:
             if stop.wait(0.1):
