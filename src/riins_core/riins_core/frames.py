@@ -24,7 +24,7 @@ ENU_FROM_NED: Array = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.
 
 def frd_to_flu(v: ArrayLike) -> Array:
     """Vectors (..., 3) from FRD to FLU, or back: the map is its own inverse."""
-    return np.asarray(v, dtype=np.float64) * np.array([1.0, -1.0, -1.0]) + 0.0  # + 0: no negative zeros
+    return np.asarray(np.asarray(v, dtype=np.float64) * np.array([1.0, -1.0, -1.0]) + 0.0)  # + 0: no negative zeros
 
 
 def ned_to_enu(v: ArrayLike) -> Array:
