@@ -112,3 +112,18 @@ class NavigatorConfig:
             stem, unit = name.rsplit("_", 1)
             if getattr(limits, name) > getattr(limits, f"{stem}_invalid_{unit}"):
                 raise SettingError(f'"validity.{name}" must not exceed "validity.{stem}_invalid_{unit}"')
+
+
+@dataclass(frozen=True)
+class NodeConfig(NavigatorConfig):
+    """Parameters of the node: the navigator's, and how its results are published."""
+
+    datum: tuple[float, ...] = setting((), "origin of the frame map: latitude [deg], longitude [deg], height [m]; empty: the initial position")
+    state_period_s: float = setting(0.0, "interval of nav/state and imu/data; 0: every IMU sample", "s", 0.0, 10.0)
+    odometry_period_s: float = setting(0.05, "interval of nav/odometry and nav/fix; 0: every IMU sample", "s", 0.0, 10.0)
+    imu_timeout_s: float = setting(1.0, "wall time without a sample after which the node says that there is no IMU", "s", 0.05, 100.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.datum) not in (0, 3):
+            raise SettingError(f'"datum" must be empty or latitude, longitude, height, not {len(self.datum)} numbers')

@@ -90,7 +90,9 @@ class InitialState:
         if self.covariance is not None:
             if np.shape(self.covariance) != (15, 15) or not np.isfinite(self.covariance).all():
                 return "the initial covariance must be 15 x 15 and finite"
-            if np.linalg.eigvalsh(self.covariance / np.sqrt(np.outer(*[np.maximum(np.diag(self.covariance), 1e-300)] * 2))).min() < -1e-9:
+            sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+            scale = np.where(sigma > 0.0, sigma, 1.0)  # units differ by 1e8
+            if np.linalg.eigvalsh(self.covariance / np.outer(scale, scale)).min() < -1e-9:
                 return "the initial covariance is not positive semidefinite"
         elif (sigmas[:9] <= 0.0).any() or (sigmas < 0.0).any():
             return "the initial sigmas of position, velocity and attitude must be positive"

@@ -1,0 +1,186 @@
+"""Node `navigator`: messages in, one call to the Navigator, messages out.
+
+Lives here: subscriptions, publications and services; message fields are made in riins_node.fields.
+Does not live here: any navigation (navigator.py). The wall clock decides one thing only: that there is no IMU.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from riins_core.frames import LocalFrame
+from riins_msgs import msg, srv
+from riins_node import convert, fields, qos
+from riins_node.parameters import declare
+from riins_node.runner import AutostartLifecycleNode, run
+from sensor_msgs.msg import Imu, NavSatFix
+
+from .config import NodeConfig
+from .error_filter import LABELS
+from .navigator import Navigator
+from .reporting import Grid, diagnosis, what_changed
+from .types import Aid, FederatedReport, InitialState, NavSolution, UseCommand
+
+OUTPUTS: dict[str, tuple[type, Any]] = {
+    "nav/state": (msg.NavState, qos.navigation),
+    "nav/settled": (msg.NavState, qos.navigation),
+    "nav/covariance": (msg.NavCovariance, qos.navigation),
+    "nav/innovations": (msg.Innovation, qos.navigation),
+    "nav/odometry": (Odometry, qos.navigation),
+    "nav/fix": (NavSatFix, qos.navigation),
+    "nav/origin": (NavSatFix, qos.latched),
+    "nav/initial_state": (msg.InitialState, qos.latched),
+    "nav/subfilters": (msg.FederatedStatus, qos.latched),
+    "imu/data": (Imu, qos.navigation),
+    "/diagnostics": (DiagnosticArray, qos.navigation),
+}
+
+
+class NavigatorNode(AutostartLifecycleNode):
+    """The federated navigator as a lifecycle node."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("navigator", **kwargs)
+        self._settings = declare(self, NodeConfig, also=["autostart"])
+        self._inputs: list[Any] = []
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
+        settings = self._settings
+        Navigator.warm_up()
+        self._navigator = Navigator(settings)
+        self._datum = (*np.radians(settings.datum[:2]).tolist(), settings.datum[2]) if settings.datum else None
+        self._frame: LocalFrame | None = None
+        self._state_grid, self._odometry_grid, self._second = Grid(settings.state_period_s), Grid(settings.odometry_period_s), Grid(1.0)
+        self._report: FederatedReport | None = None
+        self._sequence = self._settled_sequence = self._refused = 0
+        self._last_wall = time.monotonic()
+        self._published = {
+            name: self.create_publisher(kind, name, profile(), qos_overriding_options=qos.overridable()) for name, (kind, profile) in OUTPUTS.items()
+        }
+        take = partial(self.create_subscription, qos_overriding_options=qos.overridable())
+        self._inputs = [
+            take(msg.FusedImu, "imu/fused", self._on_imu, qos.imu()),
+            take(msg.InitialState, "nav/initial_state", self._on_initial_state, qos.latched(10)),
+            take(NavSatFix, "gps/fix", partial(self._on_aid, "gps", convert.read_position_aid), qos.aid()),
+            take(NavSatFix, "bds/fix", partial(self._on_aid, "bds", convert.read_position_aid), qos.aid()),
+            take(TwistWithCovarianceStamped, "doppler/velocity", partial(self._on_aid, "doppler", convert.read_doppler), qos.aid()),
+        ]
+        self._services = [
+            self.create_service(srv.SetInitialState, "~/set_initial_state", self._set_initial_state),
+            self.create_service(srv.SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
+        ]
+        self._watch = self.create_timer(0.5, self._watch_imu)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Undo on_configure."""
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
+        for service in self._services:
+            self.destroy_service(service)
+        for publisher in self._published.values():
+            self.destroy_publisher(publisher)
+        self.destroy_timer(self._watch)
+        self._inputs = []
+        return TransitionCallbackReturn.SUCCESS
+
+    def _publish(self, name: str, content: dict[str, Any]) -> None:
+        self._published[name].publish(convert.fill(OUTPUTS[name][0], content))
+
+    # ---- input ----
+
+    def _on_imu(self, message: Any) -> None:
+        if not self.active:
+            return
+        self._last_wall = time.monotonic()
+        sample = convert.read_fused_imu(message)
+        self._navigator.add_imu(np.array([sample["stamp_ns"]]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None])
+        solution = self._navigator.head()
+        if solution is not None and solution.stamp_ns == sample["stamp_ns"]:
+            self._publish_head(solution)
+        self._publish_settled()
+        self._publish_status(sample["stamp_ns"])
+
+    def _on_aid(self, name: str, read: Any, message: Any) -> None:
+        if self.active:
+            self._navigator.add_aid(Aid(name, **read(message)))
+
+    def _on_initial_state(self, message: Any) -> None:
+        if self.active:
+            problem = self._navigator.set_initial_state(InitialState(**convert.read_initial_state(message)))
+            if problem:
+                self._refused += 1
+                self.get_logger().warning(f"initial state refused: {problem}")
+
+    def _set_initial_state(self, request: Any, response: Any) -> Any:
+        response.message = self._navigator.set_initial_state(InitialState(**convert.read_initial_state(request.state)))
+        response.success = not response.message
+        if response.success:
+            self._published["nav/initial_state"].publish(request.state)  # so that a recording can be navigated again
+        return response
+
+    def _set_sensor_use(self, request: Any, response: Any) -> Any:
+        stamp = convert.to_ns(request.effective) or self._navigator.status().stamp_ns + 1
+        response.message = self._navigator.set_use(UseCommand(request.target, request.use, stamp))
+        response.success = not response.message
+        return response
+
+    # ---- output ----
+
+    def _publish_head(self, solution: NavSolution) -> None:
+        if self._frame is None:
+            datum = self._datum or (solution.lat, solution.lon, solution.h)
+            self._frame = LocalFrame(*datum)
+            self._publish("nav/origin", fields.origin(solution.stamp_ns, *datum))
+        if self._state_grid.due(solution.stamp_ns):
+            self._publish("nav/state", fields.nav_state(solution, self._sequence))
+            self._publish("imu/data", fields.imu(solution))
+            self._sequence += 1
+        if self._odometry_grid.due(solution.stamp_ns):
+            self._publish("nav/odometry", fields.odometry(solution, self._frame))
+            self._publish("nav/fix", fields.nav_fix(solution))
+
+    def _publish_settled(self) -> None:
+        for judged in self._navigator.drain_judged():
+            self._publish("nav/innovations", fields.innovation(judged))
+        for settled in self._navigator.drain_settled():
+            self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
+            self._publish("nav/covariance", fields.nav_covariance(settled, LABELS))
+            self._settled_sequence += 1
+        for event in self._navigator.drain_events():
+            self.get_logger().info(f"at {event.stamp_ns * 1e-9:.3f} s: {event.text}")
+
+    def _publish_status(self, stamp_ns: int) -> None:
+        report = self._navigator.status()
+        changed = what_changed(self._report, report)
+        if changed is None and not self._second.due(stamp_ns):
+            return
+        self._report = report
+        self._publish("nav/subfilters", fields.federated_status(report, changed or ""))
+        if self._second.now(stamp_ns):
+            self._publish("/diagnostics", fields.diagnostics(stamp_ns, diagnosis(report, self._refused)))
+
+    def _watch_imu(self) -> None:
+        if self.active and time.monotonic() - self._last_wall > self._settings.imu_timeout_s:
+            stamp = self.get_clock().now().nanoseconds
+            self._publish("/diagnostics", fields.diagnostics(stamp, [("navigator", "error", "no IMU: nothing on imu/fused", {})]))
+            self.get_logger().warning("no IMU: nothing on imu/fused", throttle_duration_sec=10.0)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point of `ros2 run riins_federated navigator`."""
+    return run(NavigatorNode, args, "navigator")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
