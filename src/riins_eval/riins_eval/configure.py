@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from riins_core.earth import STANDARD_GRAVITY
 from riins_core.imu_array import CONFIGURATIONS
 from riins_core.sensor_errors import KNOT
 from riins_core.settings import build
@@ -84,3 +85,65 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
             "timeout_s": ABSENT_AFTER * receiver.period_s,
         }
     return build(NavigatorConfig, merged(settings, scenario.navigator), ("navigator",))
+
+
+def fusion_config(scenario: Scenario) -> FusionConfig:
+    """Settings of the fusion that know the redundant IMU of a scenario as its data sheet does.
+
+    Parameters
+    ----------
+    scenario : Scenario; its `fusion` section overrides
+
+    Returns
+    -------
+    FusionConfig
+
+    Raises
+    ------
+    SettingError
+        The scenario's `fusion` section names an unknown setting, or one out of range.
+    """
+    imu, dt = scenario.imu, 1.0 / scenario.imu_rate_hz
+    gyro, accel = imu.gyro.si(), imu.accel.si()
+    settings: dict[str, Any] = {
+        "rate_hz": float(scenario.imu_rate_hz),
+        "configuration": imu.configuration,
+        "gyro_sigma": [max(gyro.white_sigma(dt), 1e-12)],
+        "accel_sigma": [max(accel.white_sigma(dt), 1e-9)],
+        "gyro_bias_sigma": math.hypot(gyro.constant, gyro.markov),
+        "accel_bias_sigma": math.hypot(accel.constant, accel.markov),
+        "gyro_limit": math.radians(imu.gyro_range_deg_s),
+        "accel_limit": imu.accel_range_g * STANDARD_GRAVITY,
+    }
+    return build(FusionConfig, merged(settings, scenario.fusion), ("fusion",))
+
+
+def configuration_text(scenario: Scenario, start_at_ns: int = 0, fusion: FusionConfig | None = None, navigator: NavigatorConfig | None = None) -> str:
+    """What `/riins/configuration` says, so that a bag can be navigated and scored with nothing else at hand.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    start_at_ns : measurement time of sample 0, ns
+    fusion, navigator : settings in force; None: those of the scenario
+
+    Returns
+    -------
+    YAML text with the keys start_at_ns, scenario, fusion, navigator, geometry (n x 3, FLU imu_link) and frames
+    """
+    fusion = fusion or fusion_config(scenario)
+    flu = fusion.array().H * np.array([1.0, -1.0, -1.0])
+    lever_arms = {f"{name}_link": [float(v) for v in flip(getattr(scenario, name).lever_arm_m)] for name in ("gps", "bds", "doppler")}
+    return str(yaml.safe_dump({
+        "start_at_ns": start_at_ns,
+        "scenario": yaml.safe_load(scenario.to_yaml()),
+        "fusion": as_mapping(fusion),
+        "navigator": as_mapping(navigator or navigator_config(scenario)),
+        "geometry": flu.tolist(),
+        "frames": {"parent": "base_link", "axes": "FLU", "translation_m": {"imu_link": [0.0, 0.0, 0.0], **lever_arms}},
+    }, sort_keys=False, allow_unicode=True, default_flow_style=None, width=150))
+
+
+def flip(frd: tuple[float, ...]) -> tuple[float, float, float]:
+    """A vector in FRD as one in FLU; its own inverse."""
+    return frd[0], -frd[1] + 0.0, -frd[2] + 0.0
