@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core import frames
+from riins_core.rotation import skew
 
 Array = NDArray[np.float64]
 Fields = dict[str, Any]
@@ -88,10 +89,10 @@ def fused_imu(
     return {
         "header": header(stamp_ns, IMU),
         "sequence": sequence,
-        "angular_velocity": vector(frames.flu_from_frd(rate)),
-        "angular_velocity_covariance": _flat(frames.flu_from_frd_covariance(rate_covariance)),
-        "linear_acceleration": vector(frames.flu_from_frd(force)),
-        "linear_acceleration_covariance": _flat(frames.flu_from_frd_covariance(force_covariance)),
+        "angular_velocity": vector(frames.frd_to_flu(rate)),
+        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(rate_covariance)),
+        "linear_acceleration": vector(frames.frd_to_flu(force)),
+        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(force_covariance)),
         "gyro_drift": np.asarray(gyro_drift, np.float64),
         "accel_drift": np.asarray(accel_drift, np.float64),
         "gyro_used": gyro_used,
@@ -108,10 +109,10 @@ def imu_raw(stamp_ns: Any, rate: ArrayLike, force: ArrayLike, rate_covariance: A
         "header": header(stamp_ns, IMU),
         "orientation": {"w": 1.0},
         "orientation_covariance": no_orientation,
-        "angular_velocity": vector(frames.flu_from_frd(rate)),
-        "angular_velocity_covariance": _flat(frames.flu_from_frd_covariance(rate_covariance)),
-        "linear_acceleration": vector(frames.flu_from_frd(force)),
-        "linear_acceleration_covariance": _flat(frames.flu_from_frd_covariance(force_covariance)),
+        "angular_velocity": vector(frames.frd_to_flu(rate)),
+        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(rate_covariance)),
+        "linear_acceleration": vector(frames.frd_to_flu(force)),
+        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(force_covariance)),
     }
 
 
@@ -126,12 +127,12 @@ def imu(solution: Any, rate_covariance: ArrayLike | None = None, force_covarianc
     zeros = np.zeros((3, 3))
     return {
         "header": header(solution.stamp_ns, BASE),
-        "orientation": quaternion(frames.quat_enu_flu_from_dcm(solution.C_nb)),
-        "orientation_covariance": _flat(frames.enu_from_ned_covariance(solution.P[PHI, PHI])),
-        "angular_velocity": vector(frames.flu_from_frd(solution.rate_b)),
-        "angular_velocity_covariance": _flat(frames.flu_from_frd_covariance(zeros if rate_covariance is None else rate_covariance)),
-        "linear_acceleration": vector(frames.flu_from_frd(solution.force_b)),
-        "linear_acceleration_covariance": _flat(frames.flu_from_frd_covariance(zeros if force_covariance is None else force_covariance)),
+        "orientation": quaternion(frames.attitude_to_enu(solution.C_nb)),
+        "orientation_covariance": _flat(frames.ned_to_enu_covariance(solution.P[PHI, PHI])),
+        "angular_velocity": vector(frames.frd_to_flu(solution.rate_b)),
+        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(zeros if rate_covariance is None else rate_covariance)),
+        "linear_acceleration": vector(frames.frd_to_flu(solution.force_b)),
+        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(zeros if force_covariance is None else force_covariance)),
     }
 
 
@@ -189,29 +190,29 @@ def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
     (computed C_nb = (I - [phi x]) true C_nb), hence the minus sign of its cross-covariance with position.
     """
     P, C_bn = np.asarray(solution.P), np.asarray(solution.C_nb).T
-    ned_to_map = local_frame.map_from_ned(solution.lat, solution.lon)
-    to_map = np.zeros((6, 6))
-    to_map[:3, :3], to_map[3:, 3:] = ned_to_map, -ned_to_map
-    pose_states = np.r_[0:3, 6:9]
+
+    def block(rows: slice, columns: slice, sign: float = 1.0) -> Array:
+        return sign * local_frame.covariance(solution.lat, solution.lon, P[rows, columns])
+
+    pose_covariance = np.block([[block(POS, POS), block(POS, PHI, -1.0)], [block(PHI, POS, -1.0), block(PHI, PHI)]])
     # v_b = C_bn v_n: its error is C_bn (dv + phi x v)
     v_n = np.asarray(solution.v_n, np.float64)
-    to_body = np.hstack([C_bn, -C_bn @ _skew(v_n)])
-    velocity_states = np.r_[3:9]
+    to_body = np.hstack([C_bn, -C_bn @ skew(v_n)])
     twist_covariance = np.zeros((6, 6))
-    twist_covariance[:3, :3] = frames.flu_from_frd_covariance(to_body @ P[np.ix_(velocity_states, velocity_states)] @ to_body.T)
-    twist_covariance[3:, 3:] = frames.flu_from_frd_covariance(P[BG, BG])
+    twist_covariance[:3, :3] = frames.frd_to_flu_covariance(to_body @ P[3:9, 3:9] @ to_body.T)
+    twist_covariance[3:, 3:] = frames.frd_to_flu_covariance(P[BG, BG])
     return {
         "header": header(int(solution.stamp_ns), MAP),
         "child_frame_id": BASE,
         "pose": {
             "pose": {
-                "position": vector(local_frame.enu(solution.lat, solution.lon, solution.h)),
+                "position": vector(local_frame.to_enu(solution.lat, solution.lon, solution.h)),
                 "orientation": quaternion(local_frame.attitude(solution.lat, solution.lon, solution.C_nb)),
             },
-            "covariance": _flat(to_map @ P[np.ix_(pose_states, pose_states)] @ to_map.T),
+            "covariance": _flat(pose_covariance),
         },
         "twist": {
-            "twist": {"linear": vector(frames.flu_from_frd(C_bn @ v_n)), "angular": vector(frames.flu_from_frd(solution.rate_b))},
+            "twist": {"linear": vector(frames.frd_to_flu(C_bn @ v_n)), "angular": vector(frames.frd_to_flu(solution.rate_b))},
             "covariance": _flat(twist_covariance),
         },
     }
@@ -237,7 +238,7 @@ def position_fix(
         "latitude": np.degrees(lat),
         "longitude": np.degrees(lon),
         "altitude": h,
-        "position_covariance": _flat(frames.enu_from_ned_covariance(covariance)),
+        "position_covariance": _flat(frames.ned_to_enu_covariance(covariance)),
         "position_covariance_type": COVARIANCE_KNOWN if covariance.any() else COVARIANCE_UNKNOWN,
     }
 
@@ -256,12 +257,12 @@ def origin(stamp_ns: int, lat: float, lon: float, h: float) -> Fields:
 
 def velocity(stamp_ns: Any, v_n: ArrayLike, covariance: ArrayLike) -> Fields:
     """geometry_msgs/TwistWithCovarianceStamped in ENU, frame `map`: `v_n` (3,) or (m, 3) NED m/s, covariance (3, 3) NED."""
-    return _twist(stamp_ns, MAP, frames.enu_from_ned(v_n), frames.enu_from_ned_covariance(covariance))
+    return _twist(stamp_ns, MAP, frames.ned_to_enu(v_n), frames.ned_to_enu_covariance(covariance))
 
 
 def doppler(stamp_ns: Any, v_b: ArrayLike, covariance: ArrayLike, frame_id: str = "doppler_link") -> Fields:
     """geometry_msgs/TwistWithCovarianceStamped of a log, FLU: `v_b` (3,) or (m, 3) FRD m/s, a NaN third is not measured; covariance (3, 3) FRD."""
-    return _twist(stamp_ns, frame_id, frames.flu_from_frd(v_b), frames.flu_from_frd_covariance(covariance))
+    return _twist(stamp_ns, frame_id, frames.frd_to_flu(v_b), frames.frd_to_flu_covariance(covariance))
 
 
 def initial_state(state: Any) -> Fields:
@@ -374,10 +375,6 @@ def _flat(matrix: ArrayLike) -> Array:
 
 def _sigmas(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance), 0.0)))
-
-
-def _skew(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _euler_covariance(roll: float, pitch: float, heading: float, phi: Array) -> Array:

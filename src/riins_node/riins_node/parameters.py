@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import dataclasses
+import json
 import sys
 import types
 import typing
@@ -76,13 +77,15 @@ def declare(node: Node, config_class: type[T], overrides: Mapping[str, Any] | No
         raise ParameterError(f"parameter {error}") from None
     flat = flatten(as_mapping(config))
     for name, leaf in leaves.items():
-        # The checked value goes in as the override: an empty list has no type of its own, so the type is declared, not inferred.
-        unset = flat[name] is None
-        node._parameter_overrides[name] = Parameter(name) if unset else Parameter(name, leaf.type, flat[name])
+        node._parameter_overrides.pop(name, None)
+        value = flat[name]
         if leaf.optional:
-            node.declare_parameter(name, None, _descriptor(leaf))
-        else:
+            node.declare_parameter(name, value, _descriptor(leaf))
+        elif value == []:  # rclpy takes an empty list for one of bytes, so it is put in behind a declaration by type
             node.declare_parameter(name, leaf.type, _descriptor(leaf))
+            node._parameters[name] = Parameter(name, leaf.type, [])
+        else:
+            node.declare_parameter(name, value, _descriptor(leaf))
     return config
 
 
@@ -134,8 +137,7 @@ def parameter_file(node: Node, describe: bool = True) -> str:
         if value is None:
             lines.append(f"    # {name}:")
         else:
-            # safe_dump ends a bare scalar with a document mark
-            text = yaml.safe_dump(value, default_flow_style=True, width=2**20).removesuffix("...\n").strip()
+            text = f"[{', '.join(map(_word, value))}]" if isinstance(value, list) else _word(value)
             lines.append(f"    {name}: {text}")
     return "\n".join(lines) + "\n"
 
@@ -192,6 +194,12 @@ def _range_text(descriptor: ParameterDescriptor) -> str:
         high = "inf" if limits.to_value == _INT64 - 1 else str(limits.to_value)
         return f"{low} .. {high}"
     return ""
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)  # always quoted: the ROS parser takes a bare y or n for true or false
+    return yaml.safe_dump(value).removesuffix("...\n").strip()  # safe_dump ends a bare scalar with a document mark
 
 
 def _plain(value: Any) -> Any:

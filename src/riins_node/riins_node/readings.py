@@ -71,8 +71,8 @@ def read_fused_imu(msg: Any) -> FusedImuSample:
     return {
         "stamp_ns": to_ns(msg.header.stamp),
         "sequence": int(msg.sequence),
-        "rate": frames.frd_from_flu(_vector(msg.angular_velocity)),
-        "force": frames.frd_from_flu(_vector(msg.linear_acceleration)),
+        "rate": frames.flu_to_frd(_vector(msg.angular_velocity)),
+        "force": frames.flu_to_frd(_vector(msg.linear_acceleration)),
         "gyro_used": int(msg.gyro_used),
         "accel_used": int(msg.accel_used),
     }
@@ -90,7 +90,7 @@ def read_position_aid(msg: Any) -> AidReading:
     return {
         "stamp_ns": to_ns(msg.header.stamp),
         "z": np.array([np.radians(msg.latitude), np.radians(msg.longitude), msg.altitude], np.float64),
-        "R": frames.ned_from_enu_covariance(covariance),
+        "R": frames.enu_to_ned_covariance(covariance),
         "ok": int(msg.status.status) >= STATUS_FIX,
     }
 
@@ -99,8 +99,8 @@ def read_velocity(msg: Any) -> AidReading:
     """Read the GNSS velocity, geometry_msgs/TwistWithCovarianceStamped in ENU: z NED m/s, R (3, 3) NED, zeros when unknown."""
     return {
         "stamp_ns": to_ns(msg.header.stamp),
-        "z": frames.ned_from_enu(_vector(msg.twist.twist.linear)),
-        "R": frames.ned_from_enu_covariance(_linear_covariance(msg)),
+        "z": frames.enu_to_ned(_vector(msg.twist.twist.linear)),
+        "R": frames.enu_to_ned_covariance(_linear_covariance(msg)),
         "ok": True,
     }
 
@@ -109,8 +109,8 @@ def read_doppler(msg: Any) -> AidReading:
     """Read the log, geometry_msgs/TwistWithCovarianceStamped in FLU: z forward, starboard, down m/s (NaN stays), R (3, 3) FRD, zeros when unknown."""
     return {
         "stamp_ns": to_ns(msg.header.stamp),
-        "z": frames.frd_from_flu(_vector(msg.twist.twist.linear)),
-        "R": frames.frd_from_flu_covariance(_linear_covariance(msg)),
+        "z": frames.flu_to_frd(_vector(msg.twist.twist.linear)),
+        "R": frames.flu_to_frd_covariance(_linear_covariance(msg)),
         "ok": True,
     }
 

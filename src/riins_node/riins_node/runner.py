@@ -64,12 +64,12 @@ class AutostartLifecycleNode(LifecycleNode):
         if not self.get_parameter("autostart").value:
             return
         for name, transition in (("configure", self.trigger_configure), ("activate", self.trigger_activate)):
+            self.failure = None
             if transition() != TransitionCallbackReturn.SUCCESS:
                 raise self.failure or StartError(f"{name} failed")
 
     def _guarded(self, callback: Callable[[LifecycleState], TransitionCallbackReturn]) -> Callable[[LifecycleState], TransitionCallbackReturn]:
         def guarded(state: LifecycleState) -> TransitionCallbackReturn:
-            self.failure = None
             try:
                 return callback(state)
             except (ParameterError, SettingError, StartError) as error:  # the user can put it right and configure again
@@ -102,13 +102,14 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
     show = "--print-parameters" in words
     node: Node | None = None
     executor: SingleThreadedExecutor | None = None
-    started = False
+    started, initialised = False, False
     try:
         words = rclpy.utilities.remove_ros_args(["", *words])[1:] if words else []
         unknown = [word for word in words if word != "--print-parameters"]
         if unknown:
             raise ParameterError(f'unknown argument "{unknown[0]}" (parameters go behind --ros-args -p NAME:=VALUE)')
         rclpy.init(args=args)
+        initialised = True
         node = factory()
         if show:
             print(parameter_file(node), end="")
@@ -131,9 +132,8 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
             return OK  # a signal took the context away while the node was being made or was publishing
         if started:
             traceback.print_exc()  # an error in a callback is a defect: say where
-        text = str(error)
-        bad_use = node is None and ("Failed to parse" in text or "parse" in type(error).__name__.lower())
-        return _report(name, error, BAD_USE if bad_use or "QoS override" in text else FAILED)
+        bad_use = not initialised or type(error).__name__ == "UnknownROSArgsError" or "QoS override" in str(error)
+        return _report(name, error, BAD_USE if bad_use else FAILED)
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
