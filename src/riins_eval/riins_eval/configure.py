@@ -10,11 +10,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+import yaml
+
 from riins_core.earth import STANDARD_GRAVITY
 from riins_core.imu_array import CONFIGURATIONS
 from riins_core.sensor_errors import KNOT
-from riins_core.settings import build
+from riins_core.settings import as_mapping, build
 from riins_federated.config import NavigatorConfig
+from riins_imu_fusion.config import FusionConfig
 from riins_sim.scenario import Scenario
 
 ABSENT_AFTER = 3.5
