@@ -1,0 +1,87 @@
+"""Settings of the fusion of redundant inertial sensors.
+
+Lives here: `FusionConfig`; the node's ROS parameters and a scenario's `fusion` section are these.
+Does not live here: how a scenario becomes a configuration (riins_eval.configure), ROS declaration (riins_node.parameters).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from riins_core import imu_array
+from riins_core.frames import frd_to_flu
+from riins_core.settings import SettingError, section, setting
+from riins_fdi.health import HealthConfig
+from riins_fdi.parity import false_alarm_probability
+
+KINDS = ("gyro", "accel")
+"""The two triads, in the order of every array with a leading axis of 2."""
+
+
+@dataclass(frozen=True)
+class FusionConfig:
+    """Everything the fusion needs to know before it starts. Default noise of one sensor: sqrt 2 times that of the ship paper's fused triad."""
+
+    rate_hz: float = setting(100.0, "nominal sample rate", "Hz", 0.1, 100e3)
+    configuration: str = setting("dodecahedron", "geometry of the sensing axes", choices=tuple(imu_array.CONFIGURATIONS))
+    geometry: tuple[float, ...] = setting((), "sensing axes as n unit vectors, row by row, FLU imu_link; empty: the configuration's", "", -1.0, 1.0)
+    gyro_sigma: tuple[float, ...] = setting((8.2275e-6,), "white noise of one gyro sample: one value, or one for each", "rad/s", 1e-15, 100.0)
+    accel_sigma: tuple[float, ...] = setting((1.3869e-3,), "white noise of one accelerometer sample, likewise", "m/s^2", 1e-12, 1000.0)
+    gyro_bias_sigma: float = setting(0.0, "ordinary turn-on bias of a gyro, which must not alarm", "rad/s", 0.0, 10.0)
+    accel_bias_sigma: float = setting(0.0, "ordinary turn-on bias of an accelerometer, which must not alarm", "m/s^2", 0.0, 100.0)
+    mean_time_between_false_alarms_h: float = setting(10.0, "of each triad, with one test a sample", "h", 1e-6, 1e9)
+    false_alarm_probability: float = setting(0.0, "probability per sample and triad; 0: from the mean time between false alarms", "", 0.0, 0.5)
+    health: HealthConfig = section(HealthConfig, "isolation, hold and probation of a sensor")
+    probation_mean_limit: float = setting(1.0, "mean residual over the probation that prevents a return, in sigma of one residual", "", 0.01, 100.0)
+    stuck_count: int = setting(10, "samples with one and the same value after which a sensor is taken as stuck; 0: never", "", 0, 1_000_000)
+    gyro_limit: float = setting(0.0, "range of a gyro: at or beyond it the value is saturated; 0: none", "rad/s", 0.0, 1e4)
+    accel_limit: float = setting(0.0, "range of an accelerometer: at or beyond it the value is saturated; 0: none", "m/s^2", 0.0, 1e6)
+    max_delay_s: float = setting(2.0, "a stamp that jumps by more than this, back or forward, restarts the run", "s", 1e-3, 600.0)
+    status_period_s: float = setting(0.1, "interval of the periodic status, measurement time", "s", 1e-3, 3600.0)
+
+    def __post_init__(self) -> None:
+        if self.health.probation_count != 1:
+            raise SettingError('"health.probation_count" must be 1: the probation of a sensor is measured in time, by "health.probation_s"')
+        if self.stuck_count == 1:
+            raise SettingError('"stuck_count" must be 0 (never) or at least 2')
+        n = self.array().n
+        for kind in KINDS:
+            if len(getattr(self, f"{kind}_sigma")) not in (1, n):
+                raise SettingError(f'"{kind}_sigma" must have 1 or {n} elements, not {len(getattr(self, f"{kind}_sigma"))}')
+
+    def array(self) -> imu_array.ImuArray:
+        """Geometry in body axes FRD, the same for gyros and accelerometers.
+
+        Raises
+        ------
+        SettingError
+            `geometry` is not n x 3, not of unit rows, or of rank below 3.
+        """
+        if not self.geometry:
+            return imu_array.ImuArray(imu_array.CONFIGURATIONS[self.configuration])
+        if len(self.geometry) % 3:
+            raise SettingError(f'"geometry" must have three elements for each sensor, not {len(self.geometry)} in all')
+        try:
+            return imu_array.ImuArray(frd_to_flu(np.reshape(self.geometry, (-1, 3))))  # its own inverse
+        except ValueError as error:
+            raise SettingError(f'"geometry": {error}') from None
+
+    def sigma(self) -> NDArray[np.float64]:
+        """White noise of a sample, (2, n): gyros [rad/s], accelerometers [m/s^2]."""
+        n = self.array().n
+        return np.stack([np.broadcast_to(self.gyro_sigma, (n,)), np.broadcast_to(self.accel_sigma, (n,))])
+
+    def total_sigma(self) -> NDArray[np.float64]:
+        """Noise and ordinary bias together, (2, n): what the parity of healthy sensors is made of."""
+        return np.hypot(self.sigma(), np.array([[self.gyro_bias_sigma], [self.accel_bias_sigma]]))
+
+    def pfa(self) -> float:
+        """False-alarm probability per sample and triad."""
+        return self.false_alarm_probability or false_alarm_probability(self.mean_time_between_false_alarms_h, self.rate_hz)
+
+    def limits(self) -> NDArray[np.float64]:
+        """Range limits (2,), infinite where there is none."""
+        return np.array([self.gyro_limit or math.inf, self.accel_limit or math.inf])

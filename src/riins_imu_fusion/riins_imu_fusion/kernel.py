@@ -1,0 +1,407 @@
+"""The compiled inner loop of the fusion: one sample after the other until something happens that Python decides.
+
+Lives here: stamp and sequence checks, availability of each axis, GLT test and isolation, least squares, judging of sensors that are out.
+Does not live here: the health machines, the making of tables, events (pipeline.py). No result depends on where a block ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from riins_core.jit import jit
+from riins_fdi.parity import parity_vector, suspect, suspect_pair
+
+F = NDArray[np.float64]
+I = NDArray[np.int64]  # noqa: E741
+U = NDArray[np.uint64]
+B = NDArray[np.bool_]
+
+# why fuse_samples came back
+DONE, EVENT, TICK, RESTART, COMMAND, NEED_TABLE = 0, 1, 2, 4, 8, 16
+# verdicts
+NONE, GOOD, BAD = 0, 1, 2
+# alarms
+QUIET, RESOLVED, UNRESOLVED = 0, 1, 2
+# reasons, as types.Reason
+PARITY, STUCK, NOT_FINITE, SATURATED, INVALID = 1, 2, 3, 4, 5
+# elements of State.clock
+LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
+CLOCK_SIZE = 6
+# elements of State.counts
+RECEIVED, FUSED, LOST, REJECTED_LENGTH, REJECTED_STAMP, REJECTED_NO_SOLUTION, RESTARTS = 0, 1, 2, 3, 4, 5, 6
+COUNTS_SIZE = 7
+
+
+class Block(NamedTuple):
+    """Input: m samples of 2 n sensors."""
+
+    stamp: I
+    sequence: NDArray[np.uint32]
+    gyro: F
+    accel: F
+    gyro_valid: U
+    accel_valid: U
+
+
+class Output(NamedTuple):
+    """Room for m fused samples; leading axis 2: rate, force."""
+
+    stamp: I
+    sequence: NDArray[np.uint32]
+    fused: F  # (2, m, 3)
+    used: U  # (2, m)
+    statistic: F  # (2, m)
+
+
+class Rules(NamedTuple):
+    """What does not change during a run."""
+
+    H: F  # (n, 3)
+    limit: F  # (2,)
+    threshold: F  # (n - 2,), of the GLT by degrees of freedom; [0] is infinite
+    judge_threshold: float  # of one normalized squared residual
+    max_delay: int  # ns
+    lost_limit: int  # a larger jump of the sequence is a new numbering
+    stuck: int  # equal samples; 0: never
+    status_period: int  # ns; 0: no ticks
+    doubt_time: int  # ns
+
+
+class Tables(NamedTuple):
+    """Tests and estimators of the sets of sensors met so far; axes (kind, slot, ...)."""
+
+    key: U  # (2, s), set of sensors as bits
+    count: I  # (2,)
+    dof: I  # (2, s), -1: no solution
+    W: F  # (2, s, 3, n)
+    whitened: F  # (2, s, d, n)
+    gain: F  # (2, s, n)
+    isolable: B  # (2, s, n)
+    reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
+
+
+class State(NamedTuple):
+    """All that the loop remembers from sample to sample; axes (kind, sensor)."""
+
+    clock: I
+    counts: I
+    value: F
+    repeat: I
+    base: B  # in use by the health machine
+    judged: B  # out, but on the way back
+    wake: I  # (2, 2, n), stamps from which a passed [0] and a failed [1] test concern the health machine
+    calm: U  # (2,), sensors in use if all of them are healthy and nobody is on the way back; else the empty set
+    mean_sum: F
+    mean_count: I
+    verdict: I
+    why: I  # reason of a failed check or verdict, 0: none
+    wakes: B
+    left_out: I  # (2, n, 8)
+    z: F  # measurements of the last sample, 0 where there is none
+    x: F  # (2, 3)
+    key: U  # (2,), set tested
+    slot: I  # (2,), its table
+    used: U  # (2,), set fused
+    used_slot: I
+    statistic: F  # (2,)
+    alarm: I  # (2,)
+    leave: I  # (2, 2), sensors left out by the parity test, -1: none
+    suspect: I  # (2,)
+    doubt: I  # (2,), 1: doubtful
+    doubt_last: I  # (2,), stamp of the last unresolved alarm
+    need: I  # (1,), kind of the table that is missing
+    need_key: U  # (1,)
+
+
+@jit
+def find_slot(kind: int, key: U, count: I, wanted: np.uint64, hint: int) -> int:
+    """Slot of a set of sensors, -1: not made yet."""
+    if hint < count[kind] and key[kind, hint] == wanted:
+        return hint
+    for s in range(count[kind]):
+        if key[kind, s] == wanted:
+            return s
+    return -1
+
+
+@jit
+def note_sequence(clock: I, counts: I, sequence: int, lost_limit: int) -> None:
+    """Count the samples missing before this one; a number that runs back or jumps too far is a new numbering."""
+    ahead = (sequence - clock[SEQUENCE]) % 4294967296
+    if ahead == 0 or ahead >= 2147483648:
+        if (4294967296 - ahead) % 4294967296 > lost_limit:
+            clock[SEQUENCE] = sequence
+        return
+    if ahead - 1 <= lost_limit:
+        counts[LOST] += ahead - 1
+    clock[SEQUENCE] = sequence
+
+
+@jit
+def check_axes(kind: int, k: int, raw: F, valid: U, limit: F, stuck: int, value: F, repeat: I, base: B, z: F, why: I) -> np.uint64:
+    """Which axes of a sample can be used: why[kind, i] = 0; returns those in use among them. Nothing is remembered yet."""
+    key = np.uint64(0)
+    for i in range(raw.shape[1]):
+        v = raw[k, i]
+        reason = 0
+        if (valid[k] >> np.uint64(i)) & np.uint64(1) == np.uint64(0):
+            reason = INVALID
+        elif not np.isfinite(v):
+            reason = NOT_FINITE
+        elif abs(v) >= limit[kind]:
+            reason = SATURATED
+        elif stuck > 0 and v == value[kind, i] and repeat[kind, i] + 1 >= stuck:
+            reason = STUCK
+        why[kind, i] = reason
+        z[kind, i] = v if reason == 0 else 0.0
+        if reason == 0 and base[kind, i]:
+            key |= np.uint64(1) << np.uint64(i)
+    return key
+
+
+@jit
+def quadratic(kind: int, slot: int, dof: int, whitened: F, z: F) -> float:
+    """GLT statistic of the set of sensors in `slot`."""
+    total = 0.0
+    for r in range(dof):
+        s = 0.0
+        for i in range(z.shape[1]):
+            s += whitened[kind, slot, r, i] * z[kind, i]
+        total += s * s
+    return total
+
+
+@jit
+def resolve(dof: int, statistic: float, whitened: F, gain: F, isolable: B, z: F, threshold: F) -> tuple[int, int, int, int]:
+    """Who explains an alarm; arrays are those of one kind and slot.
+
+    One sensor that explains the parity vector leaves; else two, if only one pair explains it. Otherwise the alarm is unresolved: the best
+    pair (with five sensors, the best one) stays out of the sample, and nobody's health is judged by it. With four sensors all stay.
+
+    Returns
+    -------
+    alarm : RESOLVED or UNRESOLVED
+    first, second : sensors to leave out, -1: none
+    pointed : sensor the test points at, -1: it cannot tell
+    """
+    p = np.empty(dof)
+    parity_vector(whitened, dof, z, p)
+    best, value = suspect(whitened, dof, gain, p)
+    if dof < 2 or best < 0 or not isolable[best]:
+        return UNRESOLVED, -1, -1, -1
+    if statistic - value <= threshold[dof - 1]:
+        return RESOLVED, best, -1, best
+    if dof == 2:
+        return UNRESOLVED, best, -1, best
+    i, j, _, count = suspect_pair(whitened, dof, gain, p, statistic - threshold[dof - 2])
+    unique = count == 1 and isolable[i] and isolable[j]
+    return RESOLVED if unique else UNRESOLVED, i, j, best
+
+
+@jit
+def judge_used(kind: int, alarm: int, first: int, second: int, base: B, why: I, left_out: I, verdict: I) -> None:
+    """Verdict on the sensors in use."""
+    for i in range(base.shape[1]):
+        verdict[kind, i] = NONE
+        if not base[kind, i]:
+            continue
+        if why[kind, i] != 0:
+            verdict[kind, i] = BAD
+            left_out[kind, i, why[kind, i]] += 1
+        elif i == first or i == second:
+            left_out[kind, i, PARITY] += 1
+            if alarm == RESOLVED:
+                verdict[kind, i] = BAD
+                why[kind, i] = PARITY
+        elif alarm != UNRESOLVED:
+            verdict[kind, i] = GOOD
+
+
+@jit
+def judge_out(
+    kind: int, slot: int, t: int, rules: Rules, judged: B, wake: I, z: F, x: F, reach: F, mean_sum: F, mean_count: I, why: I, verdict: I
+) -> None:
+    """Verdict on the sensors that are out and on the way back: their residual against those in use."""
+    for i in range(judged.shape[1]):
+        if not judged[kind, i] or (t < wake[0, kind, i] and t < wake[1, kind, i]):
+            continue
+        if why[kind, i] != 0:
+            verdict[kind, i] = BAD
+            continue
+        r = z[kind, i]
+        for a in range(3):
+            r -= rules.H[i, a] * x[kind, a]
+        scale = reach[kind, slot, i]
+        mean_sum[kind, i] += r * np.sqrt(scale)
+        mean_count[kind, i] += 1
+        if r * r * scale <= rules.judge_threshold:
+            verdict[kind, i] = GOOD
+        else:
+            verdict[kind, i] = BAD
+            why[kind, i] = PARITY
+
+
+@jit
+def wake_up(kind: int, t: int, wake: I, verdict: I, wakes: B) -> bool:
+    """Mark the verdicts that concern a health machine; True: there are some."""
+    woken = False
+    for i in range(verdict.shape[1]):
+        v = verdict[kind, i]
+        wakes[kind, i] = (v == GOOD and t >= wake[0, kind, i]) or (v == BAD and t >= wake[1, kind, i])
+        woken |= wakes[kind, i]
+    return woken
+
+
+@jit
+def remember(kind: int, k: int, raw: F, value: F, repeat: I) -> None:
+    """Keep the values for the stuck test."""
+    for i in range(raw.shape[1]):
+        if raw[k, i] == value[kind, i]:
+            repeat[kind, i] += 1
+        else:
+            repeat[kind, i] = 1
+            value[kind, i] = raw[k, i]
+
+
+@jit
+def without(key: np.uint64, first: int, second: int) -> np.uint64:
+    """Set of sensors with two taken out (-1: none)."""
+    if first >= 0:
+        key &= ~(np.uint64(1) << np.uint64(first))
+    if second >= 0:
+        key &= ~(np.uint64(1) << np.uint64(second))
+    return key
+
+
+@jit
+def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules: Rules, st: State) -> tuple[int, int, int]:
+    """Fuse samples from number k on, writing from place o on, until the block ends or Python is needed.
+
+    Returns
+    -------
+    k : next sample to give
+    o : next place to write
+    code : DONE; EVENT and TICK (bits, the sample before k is finished); RESTART, COMMAND, NEED_TABLE (sample k is not begun)
+    """
+    clock, counts = st.clock, st.counts
+    value, repeat, base, wake, calm = st.value, st.repeat, st.base, st.wake, st.calm
+    z, why, x, key, slot, used, used_slot = st.z, st.why, st.x, st.key, st.slot, st.used, st.used_slot
+    statistic, alarm, leave, pointed, doubt, doubt_last = st.statistic, st.alarm, st.leave, st.suspect, st.doubt, st.doubt_last
+    verdict, wakes = st.verdict, st.wakes
+    dofs, w = tb.dof, tb.W
+    period, n = rules.status_period, st.z.shape[1]
+    while k < block.stamp.shape[0]:
+        t = block.stamp[k]
+        if clock[HAVE] == 1:
+            step = t - clock[LAST]
+            if step > rules.max_delay or step < -rules.max_delay:
+                return k, o, RESTART
+            if step <= 0:
+                counts[RECEIVED] += 1
+                counts[REJECTED_STAMP] += 1
+                note_sequence(clock, counts, np.int64(block.sequence[k]), rules.lost_limit)
+                k += 1
+                continue
+        if t >= clock[NEXT_COMMAND]:
+            return k, o, COMMAND
+
+        key[0] = check_axes(0, k, block.gyro, block.gyro_valid, rules.limit, rules.stuck, value, repeat, base, z, why)
+        key[1] = check_axes(1, k, block.accel, block.accel_valid, rules.limit, rules.stuck, value, repeat, base, z, why)
+        solved = True
+        for kind in range(2):
+            place = find_slot(kind, tb.key, tb.count, key[kind], slot[kind])
+            if place < 0:
+                st.need[0] = kind
+                st.need_key[0] = key[kind]
+                return k, o, NEED_TABLE
+            slot[kind] = place
+            used[kind] = key[kind]
+            used_slot[kind] = place
+            alarm[kind] = QUIET
+            pointed[kind] = -1
+            leave[kind, 0] = -1
+            leave[kind, 1] = -1
+            statistic[kind] = np.nan
+            dof = dofs[kind, place]
+            solved &= dof >= 0
+            if dof < 1:
+                continue
+            statistic[kind] = quadratic(kind, place, dof, tb.whitened, z)
+            if statistic[kind] <= rules.threshold[dof]:
+                continue
+            alarm[kind], i, j, pointed[kind] = resolve(
+                dof, statistic[kind], tb.whitened[kind, place], tb.gain[kind, place], tb.isolable[kind, place], z[kind], rules.threshold
+            )
+            if i < 0:
+                continue
+            rest = without(key[kind], i, j)
+            place = find_slot(kind, tb.key, tb.count, rest, 0)
+            if place < 0:
+                st.need[0] = kind
+                st.need_key[0] = rest
+                return k, o, NEED_TABLE
+            if dofs[kind, place] < 0:  # they are needed for a solution: keep all, in doubt
+                alarm[kind] = UNRESOLVED
+                continue
+            leave[kind, 0] = i
+            leave[kind, 1] = j
+            used[kind] = rest
+            used_slot[kind] = place
+
+        # from here on the sample is worked in, once
+        code = DONE
+        counts[RECEIVED] += 1
+        if solved:
+            for kind in range(2):
+                place = used_slot[kind]
+                for a in range(3):
+                    s = 0.0
+                    for i in range(n):
+                        s += w[kind, place, a, i] * z[kind, i]
+                    x[kind, a] = s
+                    output.fused[kind, o, a] = s
+                output.used[kind, o] = used[kind]
+                output.statistic[kind, o] = statistic[kind]
+                if alarm[kind] != QUIET or used[kind] != calm[kind]:  # else all in use are healthy, nobody is out on trial, and all is well
+                    judge_used(kind, alarm[kind], leave[kind, 0], leave[kind, 1], base, why, st.left_out, verdict)
+                    if alarm[kind] != UNRESOLVED:
+                        judge_out(kind, place, t, rules, st.judged, wake, z, x, tb.reach, st.mean_sum, st.mean_count, why, verdict)
+                    if wake_up(kind, t, wake, verdict, wakes):
+                        code |= EVENT
+                if alarm[kind] == UNRESOLVED:
+                    doubt_last[kind] = t
+                    if doubt[kind] == 0:
+                        code |= EVENT
+                elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
+                    code |= EVENT
+            output.stamp[o] = t
+            output.sequence[o] = block.sequence[k]
+            o += 1
+            counts[FUSED] += 1
+            if clock[SOLUTION] == 0:
+                code |= EVENT
+        else:
+            # a sample without a solution judges nobody: an outage of the whole unit must not isolate its sensors
+            counts[REJECTED_NO_SOLUTION] += 1
+            if clock[SOLUTION] == 1:
+                code |= EVENT
+            for kind in range(2):
+                for i in range(n):
+                    if base[kind, i] and why[kind, i] != 0:
+                        st.left_out[kind, i, why[kind, i]] += 1
+        remember(0, k, block.gyro, value, repeat)
+        remember(1, k, block.accel, value, repeat)
+        if period > 0 and (clock[HAVE] == 0 or clock[FORCE_STATUS] == 1 or t // period != clock[LAST] // period):
+            code |= TICK
+        if clock[HAVE] == 1:
+            note_sequence(clock, counts, np.int64(block.sequence[k]), rules.lost_limit)
+        else:
+            clock[SEQUENCE] = np.int64(block.sequence[k])
+        clock[LAST] = t
+        clock[HAVE] = 1
+        k += 1
+        if code != DONE:
+            return k, o, code
+    return k, o, DONE

@@ -1,0 +1,416 @@
+"""From raw redundant samples to body rate and specific force: fusion with fault detection, isolation and return.
+
+Lives here: `FusionPipeline`, which drives the kernel, steps the health machine of each sensor, and reports.
+Does not live here: the inner loop (kernel.py), tables (tables.py), ROS (node.py). Same results for any block size, bit for bit.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from riins_fdi.health import ALWAYS_NS, NEVER_NS, TRIAD_CODE, Change, HealthMachine, HealthState
+from riins_fdi.innovation import nis_threshold
+from riins_fdi.parity import Capability, glt_threshold
+
+from riins_imu_fusion import kernel as K
+from riins_imu_fusion.config import KINDS, FusionConfig
+from riins_imu_fusion.tables import TableCache
+from riins_imu_fusion.types import CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, TriadStatus
+
+Array = NDArray[np.float64]
+
+_WORDS = {
+    Reason.PARITY: "parity test",
+    Reason.STUCK: "value stuck",
+    Reason.NOT_FINITE: "not finite",
+    Reason.SATURATED: "saturated",
+    Reason.INVALID: "flagged invalid",
+    Reason.OPERATOR: "operator",
+    Reason.RECOVERED: "consistent again",
+}
+
+
+class _Command(NamedTuple):
+    effective_ns: int
+    order: int
+    kind: int
+    index: int
+    use: bool
+
+
+class FusionPipeline:
+    """Weighted least squares over the healthy sensors, with GLT fault detection and one health machine for each sensor.
+
+    Parameters
+    ----------
+    config : settings
+    statuses : collect a status at every change and every `status_period_s` of measurement time, for `drain_statuses`
+
+    Notes
+    -----
+    A sample whose test exceeds the threshold is fused without the sensor that explains it; persistence isolates that sensor, and it returns
+    through a hold and a probation in which its residual against the sensors in use is tested. A missing, stuck or saturated axis is left
+    out at once and goes the same way. With four sensors in use a fault is detected and stays in; the status is then doubtful.
+    """
+
+    def __init__(self, config: FusionConfig, statuses: bool = False) -> None:
+        self.config = config
+        self.array = config.array()
+        self.n = n = self.array.n
+        pfa = config.pfa()
+        self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa)
+        self._statuses_wanted = statuses
+        max_delay = round(config.max_delay_s * 1e9)
+        self._rules = K.Rules(
+            H=np.ascontiguousarray(self.array.H),
+            limit=config.limits(),
+            threshold=np.array([math.inf, *(glt_threshold(pfa, dof) for dof in range(1, max(2, n - 2)))]),
+            judge_threshold=nis_threshold(pfa, 1),
+            max_delay=max_delay,
+            lost_limit=math.ceil(config.max_delay_s * config.rate_hz) + 1,
+            stuck=config.stuck_count,
+            status_period=round(config.status_period_s * 1e9) if statuses else 0,
+            doubt_time=round(config.health.probation_s * 1e9),
+        )
+        self._state = _fresh_state(n)
+        self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
+        self._commands: list[_Command] = []
+        self._commands_given = 0
+        self._commands_refused = 0
+        self._events: list[FdiEvent] = []
+        self._statuses: list[FdiStatus] = []
+        self._text: list[str] = []
+        self._length_event_ns = ALWAYS_NS
+        self._refresh_all()
+
+    def process(
+        self,
+        stamp_ns: ArrayLike,
+        sequence: ArrayLike,
+        gyro: ArrayLike,
+        accel: ArrayLike,
+        gyro_valid: ArrayLike,
+        accel_valid: ArrayLike,
+    ) -> FusedBlock:
+        """Fuse m samples.
+
+        Parameters
+        ----------
+        stamp_ns : (m,), end of each averaging interval
+        sequence : (m,), sample numbers, modulo 2^32
+        gyro, accel : (m, n), rad/s and m/s^2 along the sensing axes; anything but n columns is rejected and counted
+        gyro_valid, accel_valid : (m,), bit i set: sensor i reports itself valid
+
+        Returns
+        -------
+        FusedBlock of the samples that were fused
+
+        Raises
+        ------
+        ValueError
+            The arrays have different numbers of samples.
+        """
+        block = K.Block(
+            np.ascontiguousarray(stamp_ns, np.int64),
+            np.ascontiguousarray(sequence, np.uint32),
+            np.ascontiguousarray(gyro, np.float64),
+            np.ascontiguousarray(accel, np.float64),
+            np.ascontiguousarray(gyro_valid, np.uint64),
+            np.ascontiguousarray(accel_valid, np.uint64),
+        )
+        m = block.stamp.size
+        if any(a.shape[0] != m for a in block) or block.gyro.ndim != 2 or block.accel.ndim != 2:
+            raise ValueError(f"the arrays of a block must have one row for each sample: {[a.shape for a in block]}")
+        out = K.Output(np.empty(m, np.int64), np.empty(m, np.uint32), np.empty((2, m, 3)), np.empty((2, m), np.uint64), np.empty((2, m)))
+        if block.gyro.shape[1] != self.n or block.accel.shape[1] != self.n:
+            for t, s in zip(block.stamp.tolist(), block.sequence.tolist(), strict=True):
+                self.reject_length(t, s, block.gyro.shape[1], block.accel.shape[1])
+            return _fused(out, 0)
+        k = o = 0
+        while True:
+            k, o, code = K.fuse_samples(k, o, block, out, self._cache.tables, self._rules, self._state)
+            if code == K.DONE:
+                return _fused(out, o)
+            if code == K.NEED_TABLE:
+                self._cache.add(int(self._state.need[0]), int(self._state.need_key[0]))
+            elif code == K.RESTART:
+                self._restart(int(block.stamp[k]))
+            elif code == K.COMMAND:
+                self._obey(int(block.stamp[k]))
+            else:
+                self._after_sample(code)
+
+    def reject_length(self, stamp_ns: int, sequence: int, gyros: int, accels: int) -> None:
+        """Count a sample with the wrong number of axes; its sequence number is not lost."""
+        st = self._state
+        st.counts[K.RECEIVED] += 1
+        st.counts[K.REJECTED_LENGTH] += 1
+        if st.clock[K.HAVE]:
+            K.note_sequence(st.clock, st.counts, sequence, self._rules.lost_limit)
+        if not 0 <= stamp_ns - self._length_event_ns < 1_000_000_000:  # one event a second, whatever the rate
+            self._length_event_ns = stamp_ns
+            self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"rejected: {gyros} gyros and {accels} accelerometers instead of {self.n} each")
+
+    def set_sensor_use(self, target: str, use: bool, effective_ns: int = 0) -> CommandResult:
+        """Exclude a sensor on the operator's word, or let it return through probation.
+
+        Parameters
+        ----------
+        target : gyro_0, accel_5, ...
+        use : False: exclude; True: restore
+        effective_ns : holds from the first sample with this stamp or a later one; 0: from the next sample on
+
+        Returns
+        -------
+        CommandResult; refused and counted for an unknown target or a stamp that has passed
+        """
+        kind_name, _, number = target.rpartition("_")
+        if kind_name not in KINDS or not number.isdigit() or int(number) >= self.n:
+            return self._refuse(f'no sensor "{target}": gyro_0 .. gyro_{self.n - 1}, accel_0 .. accel_{self.n - 1}')
+        clock = self._state.clock
+        last = int(clock[K.LAST]) if clock[K.HAVE] else None
+        if effective_ns == 0:
+            effective_ns = ALWAYS_NS if last is None else last + 1
+        elif last is not None and effective_ns <= last:
+            return self._refuse(f"{target}: the effective stamp passed {(last - effective_ns) * 1e-9:.3f} s ago")
+        heapq.heappush(self._commands, _Command(effective_ns, self._commands_given, KINDS.index(kind_name), int(number), use))
+        self._commands_given += 1
+        clock[K.NEXT_COMMAND] = self._commands[0].effective_ns
+        when = "the next sample" if effective_ns in (ALWAYS_NS, (last or 0) + 1) else f"{effective_ns * 1e-9:.3f} s"
+        return CommandResult(True, effective_ns, f"{target}: {'probation' if use else 'excluded'} from {when} on")
+
+    def status(self) -> FdiStatus:
+        """State after the last sample."""
+        return self._status("")
+
+    def drain_statuses(self) -> list[FdiStatus]:
+        """Periodic statuses and those of changes since the last call, in order."""
+        drained, self._statuses = self._statuses, []
+        return drained
+
+    def drain_events(self) -> list[FdiEvent]:
+        """Events since the last call, in order."""
+        drained, self._events = self._events, []
+        return drained
+
+    @property
+    def counters(self) -> Counters:
+        c = self._state.counts.tolist()
+        return Counters(
+            received=c[K.RECEIVED],
+            fused=c[K.FUSED],
+            lost=c[K.LOST],
+            rejected_length=c[K.REJECTED_LENGTH],
+            rejected_stamp=c[K.REJECTED_STAMP],
+            rejected_no_solution=c[K.REJECTED_NO_SOLUTION],
+            restarts=c[K.RESTARTS],
+            commands_refused=self._commands_refused,
+        )
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        """Stamp of the last sample accepted; None before the first."""
+        return int(self._state.clock[K.LAST]) if self._state.clock[K.HAVE] else None
+
+    def rate_covariance(self, mask: int) -> Array:
+        """Covariance (3, 3) of the fused rate's white noise [(rad/s)^2], body FRD, when the gyros in `mask` are used."""
+        return self._cache.noise_covariance(0, int(mask))
+
+    def force_covariance(self, mask: int) -> Array:
+        """Covariance (3, 3) of the fused specific force's white noise [(m/s^2)^2], body FRD, when the accelerometers in `mask` are used."""
+        return self._cache.noise_covariance(1, int(mask))
+
+    def warm_up(self) -> None:
+        """Compile or load the kernel by fusing a sample of a throw-away pipeline; this one is not touched."""
+        other = FusionPipeline(self.config, self._statuses_wanted)
+        valid = [(1 << self.n) - 1]
+        other.process([0], [0], np.zeros((1, self.n)), np.zeros((1, self.n)), valid, valid)
+        other.reject_length(1, 1, 0, 0)
+
+    def _after_sample(self, code: int) -> None:
+        st = self._state
+        t = int(st.clock[K.LAST])
+        if code & K.EVENT:
+            for kind, index in np.argwhere(st.wakes).tolist():
+                self._step(kind, index, t)
+            st.wakes[:] = False
+            solved = int(self._solved())
+            if solved != int(st.clock[K.SOLUTION]):
+                st.clock[K.SOLUTION] = solved
+                self._tell_solution(t, bool(solved))
+            for kind in range(2):
+                self._step_doubt(kind, t)
+        if self._statuses_wanted and (code & K.TICK or self._text):
+            self._statuses.append(self._status("; ".join(self._text)))
+            self._text.clear()
+            st.clock[K.FORCE_STATUS] = 0
+
+    def _step(self, kind: int, index: int, t: int) -> None:
+        st, machine = self._state, self._machines[kind][index]
+        good = int(st.verdict[kind, index]) == K.GOOD
+        reason = int(st.why[kind, index])
+        note = ""
+        if good and machine.state is HealthState.PROBATION and machine.wakes_at_ns()[0] > ALWAYS_NS and st.mean_count[kind, index]:
+            mean = float(st.mean_sum[kind, index] / st.mean_count[kind, index])
+            if abs(mean) > self.config.probation_mean_limit:
+                good, reason, note = False, int(Reason.PARITY), f", mean residual {mean:+.2f} sigma"
+        change = machine.step(t, good, reason)
+        self._refresh(kind, index)
+        if change is not None:
+            self._changed(kind, index, change, note)
+
+    def _changed(self, kind: int, index: int, change: Change, note: str = "") -> None:
+        if change.state is HealthState.PROBATION:
+            self._state.mean_sum[kind, index] = 0.0
+            self._state.mean_count[kind, index] = 0
+        why = f" ({_WORDS[Reason(change.reason)]}{note})" if change.reason else ""
+        text = f"{KINDS[kind]}_{index} {change.previous.name.lower()} -> {change.state.name.lower()}{why}"
+        self._tell(change.stamp_ns, KINDS[kind], index, change.state, change.reason, text)
+
+    def _step_doubt(self, kind: int, t: int) -> None:
+        st = self._state
+        unresolved = int(st.alarm[kind]) == K.UNRESOLVED
+        if unresolved and not st.doubt[kind]:
+            st.doubt[kind] = 1
+            test = self._cache.test(kind, int(st.key[kind]))
+            cause = "more than one pair of sensors explains it" if test.capability is Capability.ISOLATES else "these sensors detect only"
+            self._tell(t, KINDS[kind], -1, None, Reason.PARITY, f"{KINDS[kind]} doubtful: a fault is seen but not isolated, {cause}")
+        elif st.doubt[kind] and not unresolved and t - int(st.doubt_last[kind]) > self._rules.doubt_time:
+            st.doubt[kind] = 0
+            self._tell(t, KINDS[kind], -1, None, Reason.RECOVERED, f"{KINDS[kind]} no longer doubtful")
+
+    def _solved(self) -> bool:
+        st, dof = self._state, self._cache.tables.dof
+        return bool(dof[0, st.slot[0]] >= 0 and dof[1, st.slot[1]] >= 0)
+
+    def _tell_solution(self, t: int, solved: bool) -> None:
+        if solved:
+            self._tell(t, "stream", -1, None, Reason.RECOVERED, "solution again")
+            return
+        st = self._state
+        lacking = [name for kind, name in enumerate(KINDS) if self._cache.tables.dof[kind, st.slot[kind]] < 0]
+        self._tell(t, "stream", -1, None, Reason.NONE, f"no solution: too few usable axes of {' and '.join(lacking)}")
+
+    def _restart(self, stamp_ns: int) -> None:
+        """A stamp jumped: begin anew; only the operator's exclusions stay."""
+        jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
+        old, self._state = self._state, _fresh_state(self.n)
+        self._state.counts[:] = old.counts
+        self._state.counts[K.RESTARTS] += 1
+        self._state.left_out[:] = old.left_out
+        self._state.clock[K.NEXT_COMMAND] = old.clock[K.NEXT_COMMAND]
+        for machine in (m for triad in self._machines for m in triad):
+            machine.reset()
+        self._refresh_all()
+        self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"restart: the stamp jumped by {jump:+.3f} s")
+
+    def _obey(self, stamp_ns: int) -> None:
+        """Carry out the commands whose time has come."""
+        while self._commands and self._commands[0].effective_ns <= stamp_ns:
+            command = heapq.heappop(self._commands)
+            machine = self._machines[command.kind][command.index]
+            change = (machine.restore if command.use else machine.exclude)(stamp_ns, int(Reason.OPERATOR))
+            self._refresh(command.kind, command.index)
+            if change is not None:
+                self._changed(command.kind, command.index, change)
+        self._state.clock[K.NEXT_COMMAND] = self._commands[0].effective_ns if self._commands else NEVER_NS
+
+    def _refuse(self, message: str) -> CommandResult:
+        self._commands_refused += 1
+        stamp = self.last_stamp_ns or 0
+        self._tell(stamp, "command", -1, None, Reason.OPERATOR, f"refused: {message}")
+        return CommandResult(False, 0, message)
+
+    def _tell(self, stamp_ns: int, kind: str, index: int, state: HealthState | None, reason: int, text: str) -> None:
+        self._events.append(FdiEvent(stamp_ns, kind, index, state, int(reason), text))
+        if self._statuses_wanted:
+            self._text.append(text)
+            self._state.clock[K.FORCE_STATUS] = 1
+
+    def _refresh(self, kind: int, index: int) -> None:
+        st, machine = self._state, self._machines[kind][index]
+        st.base[kind, index] = machine.in_use
+        st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
+        st.wake[:, kind, index] = machine.wakes_at_ns()
+        calm = not st.judged[kind].any() and bool(np.all(st.wake[0, kind] == NEVER_NS))
+        st.calm[kind] = np.uint64(sum(1 << int(i) for i in np.flatnonzero(st.base[kind])) if calm else 0)
+
+    def _refresh_all(self) -> None:
+        for kind in range(2):
+            for index in range(self.n):
+                self._refresh(kind, index)
+
+    def _status(self, text: str) -> FdiStatus:
+        return FdiStatus(int(self._state.clock[K.LAST]), self._triad(0), self._triad(1), self.counters, text)
+
+    def _triad(self, kind: int) -> TriadStatus:
+        st, machines = self._state, self._machines[kind]
+        begun = bool(st.clock[K.HAVE])
+        tested = int(st.key[kind]) if begun else (1 << self.n) - 1
+        test = self._cache.test(kind, tested)
+        now = sum(1 << i for i, machine in enumerate(machines) if machine.in_use)
+        capability = self._cache.test(kind, now & tested).capability  # of what can serve the next sample
+        return TriadStatus(
+            parity=test.V @ st.z[kind],
+            statistic=float(st.statistic[kind]),
+            threshold=test.threshold,
+            dof=max(0, test.dof),
+            detected=int(st.alarm[kind]) != K.QUIET,
+            suspect=int(st.suspect[kind]),
+            state=tuple(TRIAD_CODE[machine.state] for machine in machines),
+            reason=tuple(machine.reason for machine in machines),
+            since_ns=tuple(machine.since_ns for machine in machines),
+            drift=np.zeros(self.n),
+            capability=capability,
+            doubtful=bool(st.doubt[kind]),
+            used=int(st.used[kind]),
+            left_out=st.left_out[kind].copy(),
+        )
+
+
+def _fused(out: K.Output, m: int) -> FusedBlock:
+    (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
+    return FusedBlock(out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
+
+
+def _fresh_state(n: int) -> K.State:
+    def whole(*shape: int) -> NDArray[np.int64]:
+        return np.zeros(shape, np.int64)
+
+    clock = whole(K.CLOCK_SIZE)
+    clock[K.NEXT_COMMAND] = NEVER_NS
+    clock[K.SOLUTION] = 1
+    return K.State(
+        clock=clock,
+        counts=whole(K.COUNTS_SIZE),
+        value=np.full((2, n), np.nan),
+        repeat=whole(2, n),
+        base=np.ones((2, n), np.bool_),
+        judged=np.zeros((2, n), np.bool_),
+        wake=whole(2, 2, n),
+        calm=np.zeros(2, np.uint64),
+        mean_sum=np.zeros((2, n)),
+        mean_count=whole(2, n),
+        verdict=whole(2, n),
+        why=whole(2, n),
+        wakes=np.zeros((2, n), np.bool_),
+        left_out=whole(2, n, 8),
+        z=np.zeros((2, n)),
+        x=np.zeros((2, 3)),
+        key=np.zeros(2, np.uint64),
+        slot=whole(2),
+        used=np.zeros(2, np.uint64),
+        used_slot=whole(2),
+        statistic=np.full(2, np.nan),
+        alarm=whole(2),
+        leave=np.full((2, 2), -1, np.int64),
+        suspect=np.full(2, -1, np.int64),
+        doubt=whole(2),
+        doubt_last=whole(2),
+        need=whole(1),
+        need_key=np.zeros(1, np.uint64),
+    )
