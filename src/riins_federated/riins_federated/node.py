@@ -28,7 +28,7 @@ from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
 from .reporting import Grid, diagnosis, what_changed
-from .types import Aid, FederatedReport, InitialState, NavSolution, UseCommand
+from .types import Aid, FederatedReport, InitialState, NavSolution, Reason, UseCommand
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
@@ -62,6 +62,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._frame: LocalFrame | None = None
         self._state_grid, self._odometry_grid, self._second = Grid(settings.state_period_s), Grid(settings.odometry_period_s), Grid(1.0)
         self._report: FederatedReport | None = None
+        self._without_covariance: set[str] = set()
         self._sequence = self._settled_sequence = self._refused = 0
         self._last_wall = time.monotonic()
         self._published = {
@@ -112,8 +113,15 @@ class NavigatorNode(AutostartLifecycleNode):
         self._publish_status(sample["stamp_ns"])
 
     def _on_aid(self, name: str, read: Any, message: Any) -> None:
-        if self.active:
-            self._navigator.add_aid(Aid(name, **read(message)))
+        if not self.active:
+            return
+        aid = Aid(name, **read(message))
+        if not aid.R.any() and name not in self._without_covariance:
+            self._without_covariance.add(name)
+            self.get_logger().warning(f"{name} reports no covariance: its configured sigma is used")
+        reason = self._navigator.add_aid(aid)
+        if reason not in (Reason.NONE, Reason.NO_FIX):
+            self.get_logger().warning(f"{name}: measurement dropped ({reason.name.lower()})", throttle_duration_sec=10.0)
 
     def _on_initial_state(self, message: Any) -> None:
         if self.active:
