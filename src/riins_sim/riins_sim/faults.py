@@ -118,7 +118,7 @@ def kind_of(target: str) -> str:
         There is no such sensor.
     """
     word, _, number = target.partition("_")
-    if word in ("gyro", "accel") and number.isdecimal() and int(number) < 64:
+    if word in ("gyro", "accel") and number.isascii() and number.isdecimal() and int(number) < 64:
         return word
     if target in AIDS:
         return "velocity" if target == "doppler" else "position"
@@ -169,8 +169,8 @@ class FaultSettings:
         kind, shape = kind_of(self.target), FaultType[self.type.upper()]
         sizes = _SCALES if shape == FaultType.SCALE else _SIZES[kind]
         wants_size = shape in (FaultType.STEP, FaultType.NOISE, FaultType.SCALE)
-        size, size_key = self._one("size_", sizes if wants_size or shape == FaultType.RAMP else {}, wants_size)
         slope, slope_key = self._one("slope_", _SLOPES[kind] if shape == FaultType.RAMP else {}, shape == FaultType.RAMP)
+        size, size_key = self._one("size_", sizes if wants_size or shape == FaultType.RAMP else {}, wants_size)
         angular = size_key == "size_arcmin"
         if angular and slope_key:
             raise SettingError("a ramp in m/s starts from a size in m (size_m)", (size_key,))

@@ -54,6 +54,7 @@ def integrate_course(start: Array, panels: int, length: float, course: Array) ->
     path = np.zeros((panels + 1, 6))
     path[0, 0], path[0, 1] = start[0], start[1]
     h = start[2]
+    lost_lat, lost_lon = 0.0, 0.0  # compensated (Kahan) sums: rounding of 400 000 equal steps all goes one way
     for p in range(panels):
         t, lat = p * length, path[p, 0]
         a = _path_rates(t, lat, h, course)
@@ -63,8 +64,12 @@ def integrate_course(start: Array, panels: int, length: float, course: Array) ->
         sixth = length / 6.0
         path[p, 4] = sixth * (a[0] + 2.0 * (b[0] + c[0]) + d[0])
         path[p, 5] = sixth * (a[1] + 2.0 * (b[1] + c[1]) + d[1])
-        path[p + 1, 0] = lat + path[p, 4]
-        path[p + 1, 1] = path[p, 1] + path[p, 5]
+        gain = path[p, 4] - lost_lat
+        path[p + 1, 0] = lat + gain
+        lost_lat = (path[p + 1, 0] - lat) - gain
+        gain = path[p, 5] - lost_lon
+        path[p + 1, 1] = path[p, 1] + gain
+        lost_lon = (path[p + 1, 1] - path[p, 1]) - gain
         path[p + 1, 2] = path[p, 2] + sixth * (a[2] + 2.0 * (b[2] + c[2]) + d[2])
         path[p + 1, 3] = path[p, 3] + sixth * (a[3] + 2.0 * (b[3] + c[3]) + d[3])
     return path

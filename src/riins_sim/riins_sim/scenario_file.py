@@ -16,6 +16,8 @@ import yaml
 
 from riins_core.settings import SettingError, nearest
 
+_DEEPEST = 20
+
 Lines = Mapping[tuple[str, ...], int]
 
 
@@ -47,8 +49,9 @@ def parse(text: str, name: str) -> tuple[dict[str, Any], dict[tuple[str, ...], i
     ScenarioError
         No YAML, no mapping, a key given twice, or a merge that YAML cannot make.
     """
-    loader = _Loader(text)
+    loader: _Loader | None = None
     try:
+        loader = _Loader(text)
         node = loader.get_single_node()
         lines: dict[tuple[str, ...], int] = {}
         if not isinstance(node, yaml.MappingNode):
@@ -61,11 +64,14 @@ def parse(text: str, name: str) -> tuple[dict[str, Any], dict[tuple[str, ...], i
     except yaml.YAMLError as error:
         raise ScenarioError(f"{name}:1: {str(error).splitlines()[0]}") from None
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     return values, lines
 
 
 def _walk(node: yaml.Node, path: tuple[str, ...], lines: dict[tuple[str, ...], int], name: str) -> None:
+    if len(path) > _DEEPEST:  # an alias may contain itself
+        raise ScenarioError(f"{name}:{node.start_mark.line + 1}: nested too deeply")
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             here = (*path, str(key.value))
