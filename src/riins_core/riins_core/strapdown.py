@@ -99,8 +99,9 @@ def _advance(
     turn: Array,
 ) -> None:
     """One sample: increments a [rad] and b [m/s] of length dt; `turn` (3, 3) is room to work in."""
-    # previous increments, scaled to this sample's length where the sample rate changes
-    ratio = dt / nav[15] if nav[15] > 0.0 else 0.0
+    # previous increments; the factor is 1 unless the sample rate changes: then it keeps the slope of a rate linear over both samples
+    previous = nav[15]
+    ratio = 2.0 * dt * dt / (previous * (previous + dt)) if previous > 0.0 else 0.0
     px, py, pz = ratio * dtheta_prev[0], ratio * dtheta_prev[1], ratio * dtheta_prev[2]
     qx, qy, qz = ratio * dv_prev[0], ratio * dv_prev[1], ratio * dv_prev[2]
 
@@ -262,7 +263,7 @@ def strapdown_block(
     Attitude: rotation vector a + 1/12 a_prev x a. Velocity: b + 1/2 a x b + 1/6 a x (a x b) + 1/12 (a_prev x b + b_prev x a), the two-sample form of
     Savage (1998, part 1 eq. 47, part 2 eq. 56) applied at every sample, so the kernel has no phase and any split into blocks gives the same bits.
     Coriolis, transport rate and gravity are taken in the middle of the sample, position is the trapezoid of velocity. When the
-    sample rate changes the previous increments are scaled by the ratio of lengths. C_nb is made orthonormal at every sample.
+    sample rate changes the previous increments are scaled as a rate linear in time demands. C_nb is made orthonormal at every sample.
     The vertical channel is free, hence unstable over minutes: aid it, or use `strapdown_slaved`. Singular at the poles.
     The seeds' mechanization, thesis (6-7), rotates by the wrong rate: the attitude needs w_in = w_ie + w_en.
     """

@@ -104,8 +104,8 @@ def ship_in_waves(seed=0, lat=0.6, speed=7.0, course=0.7):
     )
 
 
-def coning(amplitude=np.deg2rad(10.0), frequency=0.5):
-    """A moored hull whose mast describes a cone: roll and pitch in quadrature."""
+def coning(amplitude, frequency):
+    """A moored hull whose mast describes a cone: roll and pitch of `amplitude` [rad] in quadrature at `frequency` [Hz]."""
     w = 2 * np.pi * frequency
     still = Wave(0.9), Wave(-1.0), Wave(0.0)
     return Motion(

@@ -1,5 +1,7 @@
 """Redundant geometry: tables 2.1 to 2.3 of the thesis to 1e-4 (target 1), parity and least-squares identities, refused geometries."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -87,7 +89,7 @@ def test_worst_case_after_isolation():
         assert table[1].sigma_worst == pytest.approx(1.0)  # any tight frame loses half of one direction's information
         assert table[1].gdop == pytest.approx(np.sqrt(2.0))
         assert [r.choices for r in table] == [1, 6, 15, 20]
-        assert all(a.gdop <= b.gdop for a, b in zip(table, table[1:], strict=False))
+        assert all(a.gdop <= b.gdop for a, b in itertools.pairwise(table))
     assert [r.singular for r in rows["dodecahedron"]] == [0, 0, 0, 0]
     assert [r.singular for r in rows["orthogonal"]] == [0, 0, 3, 12]
     assert rows["orthogonal"][2].gdop == np.inf

@@ -1,0 +1,82 @@
+"""Settings: what is taken, what is refused, and that the message says where and what was meant."""
+
+from dataclasses import dataclass
+
+import pytest
+from riins_core.settings import SettingError, as_mapping, build, field_types, flatten, section, setting, unflatten
+
+
+@dataclass(frozen=True)
+class Inner:
+    sigma_m: tuple[float, ...] = setting((1.0, 1.0, 1.0), "sigma by axis", "m", 0.0, 1e3, length=3)
+    mode: str = setting("fast", "how", choices=("fast", "exact"))
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str = setting(doc="what it is called")
+    count: int = setting(3, "how many", low=1, high=10)
+    gain: float = setting(0.5, "gain", "1/s", low=0.0)
+    on: bool = setting(True, "on or off")
+    limit: float | None = setting(None, "limit", "m", low=0.0)
+    words: tuple[str, ...] = setting((), "any words")
+    inner: Inner = section(Inner, "the inner part")  # noqa: RUF009 - returns a dataclasses.field
+
+    def __post_init__(self):
+        if self.count == 7:
+            raise SettingError("seven is unlucky", ("count",))
+
+
+def test_defaults_nesting_and_whole_numbers():
+    made = build(Outer, {"name": "x", "gain": 2, "limit": 4, "inner": {"sigma_m": [1, 2, 3.5]}})
+    assert made == Outer("x", 3, 2.0, True, 4.0, (), Inner((1.0, 2.0, 3.5)))
+    assert isinstance(made.gain, float) and isinstance(made.limit, float) and isinstance(made.inner.sigma_m[0], float)
+    assert build(Outer, {"name": "x", "limit": None}).limit is None
+
+
+def test_mapping_round_trip():
+    made = build(Outer, {"name": "x", "words": ["a", "b"], "inner": {"mode": "exact"}})
+    plain = as_mapping(made)
+    assert plain["words"] == ["a", "b"]
+    assert build(Outer, plain) == made
+    flat = flatten(plain)
+    assert flat["inner.mode"] == "exact"
+    assert unflatten(flat) == plain
+    assert field_types(Outer)["count"] is int
+
+
+@pytest.mark.parametrize(
+    ("values", "message", "path"),
+    [
+        ({"name": "x", "gian": 1.0}, 'unknown setting "gian" (did you mean "gain"?)', ("gian",)),
+        ({"name": "x", "inner": {"sigma": []}}, 'unknown setting "inner.sigma" (did you mean "sigma_m"?)', ("inner", "sigma")),
+        ({}, '"name" is missing: what it is called', ("name",)),
+        ({"name": 3}, '"name" must be a word, not 3', ("name",)),
+        ({"name": "x", "count": 2.5}, "a whole number", ("count",)),
+        ({"name": "x", "count": True}, "a whole number", ("count",)),
+        ({"name": "x", "gain": "2"}, "must be a number, not '2': gain [1/s]", ("gain",)),
+        ({"name": "x", "gain": float("nan")}, "finite", ("gain",)),
+        ({"name": "x", "gain": None}, "a number", ("gain",)),
+        ({"name": "x", "on": 1}, "true or false", ("on",)),
+        ({"name": "x", "gain": -1.0}, "0.0 .. inf", ("gain",)),
+        ({"name": "x", "count": 11}, "1 .. 10", ("count",)),
+        ({"name": "x", "limit": -2}, "0.0 .. inf", ("limit",)),
+        ({"name": "x", "inner": {"sigma_m": [1, 2]}}, "must have 3 elements, not 2", ("inner", "sigma_m")),
+        ({"name": "x", "inner": {"sigma_m": [1, 2, -3]}}, "0.0 .. 1000.0", ("inner", "sigma_m", "2")),
+        ({"name": "x", "inner": {"sigma_m": 1.0}}, "must be a list, not float", ("inner", "sigma_m")),
+        ({"name": "x", "inner": {"mode": "exat"}}, 'one of fast, exact, not \'exat\' (did you mean "exact"?)', ("inner", "mode")),
+        ({"name": "x", "inner": None}, "inner must be a mapping, not nothing", ("inner",)),
+        ({"name": "x", "count": 7}, "seven is unlucky", ("count",)),
+    ],
+)
+def test_refusals(values, message, path):
+    with pytest.raises(SettingError) as caught:
+        build(Outer, values)
+    assert message in str(caught.value)
+    assert caught.value.path == path
+    assert "\n" not in str(caught.value)
+
+
+def test_top_level_must_be_a_mapping():
+    with pytest.raises(SettingError, match="the top level must be a mapping, not list"):
+        build(Outer, [1])
