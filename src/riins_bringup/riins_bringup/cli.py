@@ -47,12 +47,16 @@ class Record(enum.StrEnum):
 ScenarioArgument = Annotated[str, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")]
 BagArgument = Annotated[Path, typer.Argument(help="bag directory", metavar="BAG")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file, as documented in docs/json.md", metavar="FILE")]
-TwinsOption = Annotated[bool | None, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too (default: where it is cheap)")]
+TwinsOption = Annotated[
+    bool | None, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too (default: where it is cheap)")
+]
 
 
 @app.command()
 def geometry(
-    file: Annotated[Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row (blanks or commas, # comments)", metavar="[FILE]")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row (blanks or commas, # comments)", metavar="[FILE]")
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the figures to this file", metavar="FILE")] = None,
 ) -> int:
     """Figures of merit of sensor geometries: the thesis' tables 2.1 to 2.3, or those of your own n x 3 file.
@@ -152,7 +156,9 @@ def up(
     seed: Annotated[int, typer.Option(help="seed of all noise (-1: the scenario's)")] = -1,
     namespace: Annotated[str, typer.Option(help="namespace of all nodes and topics")] = "",
     log_level: Annotated[str, typer.Option(help="least severe message the nodes log: debug, info, warn, error, fatal")] = "info",
-    logs: Annotated[Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")] = None,
+    logs: Annotated[
+        Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")
+    ] = None,
     network: Annotated[bool, typer.Option("--network", help="let other machines on the subnet see the topics")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the summary to this file", metavar="FILE")] = None,
 ) -> int:

@@ -35,7 +35,13 @@ def describe_thesis() -> Described:
         one.add_row(str(n), *cells)
     two = Table("configuration", "angle [deg]", "J_p", "GDOP", "|H'H - n/3 I|", title="Table 2.2: accuracy")
     for row in imu_array.table_2_2():
-        two.add_row(row.name, "-" if row.angle is None else f"{math.degrees(row.angle):.4f}", f"{row.accuracy_figure:.4f}", f"{row.gdop:.4f}", f"{row.deviation:.1e}")
+        two.add_row(
+            row.name,
+            "-" if row.angle is None else f"{math.degrees(row.angle):.4f}",
+            f"{row.accuracy_figure:.4f}",
+            f"{row.gdop:.4f}",
+            f"{row.deviation:.1e}",
+        )
     three = Table("configuration", "coherence", title="Table 2.3: coherence of the axes (* best for telling faults apart)")
     for line in imu_array.table_2_3():
         three.add_row(line.name, f"{line.coherence:.4f}{'*' if line.best else ''}")
@@ -98,7 +104,9 @@ def _isolation(array: imu_array.ImuArray) -> list[dict[str, Any]]:
 
 
 def _isolation_table(name: str, rows: list[dict[str, Any]]) -> Table:
-    sheet = Table("isolated", "worst GDOP", "worst sigma", "least J_p", "choices without solution", title=f"{name}: accuracy left after isolation, worst choice")
+    sheet = Table(
+        "isolated", "worst GDOP", "worst sigma", "least J_p", "choices without solution", title=f"{name}: accuracy left after isolation, worst choice"
+    )
     for row in rows:
         cells = ["none" if row[key] is None else f"{row[key]:.4f}" for key in ("gdop", "sigma_worst", "accuracy_figure")]
         sheet.add_row(str(row["isolated"]), *cells, f"{row['singular']} of {row['choices']}")

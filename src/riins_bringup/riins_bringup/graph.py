@@ -1,13 +1,13 @@
 """The node graph as data: which nodes, with which parameters, for a simulated ship and for the replay of a bag.
 
-Lives here: `GraphSettings`, `NodeSpec`, `Graph`, `build_graph`, `write_files`; the launch file, the launcher (live.py) and the tests read this one source.
+Lives here: `GraphSettings`, `NodeSpec`, `Graph`, `build_graph`, `write_files`; launch file, launcher and tests read this.
 Does not live here: starting processes (processes.py), watching them (live.py), what the parameters of a filter should be (riins_eval.configure).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ import yaml
 
 from riins_core.settings import SettingError, as_mapping, build, field_types, flatten, setting
 
-ROLES = ("consumer", "source", "observer")
+CONFIGURATION = "configuration_file"
+"""Parameter of the recorder whose file is written first."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Graph:
     start_at_ns : measurement time of sample 0 [ns]; 0 for a replay, whose stamps are the bag's
     wall_stamps : stamps are wall-clock times, so that a latency can be measured against the clock
     namespace : of all nodes
-    configuration : text of `/riins/configuration`
+    configuration_at : text of `/riins/configuration` for a given start [ns]
     score_from_s : errors count from this long after the start [s]
     """
 
@@ -106,7 +107,7 @@ class Graph:
     start_at_ns: int = 0
     wall_stamps: bool = False
     namespace: str = ""
-    configuration: str = ""
+    configuration_at: Callable[[int], str] = str
     score_from_s: float = 0.0
 
     def of(self, *roles: str) -> tuple[NodeSpec, ...]:
@@ -125,11 +126,17 @@ class Graph:
         return dataclasses.replace(self, nodes=tuple(n for n in self.nodes if n.name not in names))
 
     def starting_at(self, start_at_ns: int) -> Graph:
-        """The same graph with another start; only sources that simulate are told."""
-        nodes = tuple(
-            dataclasses.replace(n, parameters={**n.parameters, "start_at_ns": start_at_ns}) if "start_at_ns" in n.parameters else n for n in self.nodes
-        )
-        return dataclasses.replace(self, nodes=nodes, start_at_ns=start_at_ns)
+        """The same graph with another start: sources that simulate are told, and so is what the recorder writes first."""
+
+        def moved(node: NodeSpec) -> NodeSpec:
+            parameters, files = dict(node.parameters), dict(node.files)
+            if "start_at_ns" in parameters:
+                parameters["start_at_ns"] = start_at_ns
+            if CONFIGURATION in files:
+                files[CONFIGURATION] = self.configuration_at(start_at_ns)
+            return dataclasses.replace(node, parameters=parameters, files=files)
+
+        return dataclasses.replace(self, nodes=tuple(moved(n) for n in self.nodes), start_at_ns=start_at_ns)
 
 
 def settings_from_words(words: Mapping[str, str]) -> GraphSettings:
@@ -180,26 +187,72 @@ def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
         changes["duration_s"] = min(settings.duration_s, scenario.duration_s)
     scenario = dataclasses.replace(scenario, **changes)
     fusion, navigator = configure.fusion_config(scenario), configure.navigator_config(scenario)
-    configuration = configure.configuration_text(scenario)
-    nodes = _consumers(settings, fusion, navigator, configuration)
+
+    def configuration_at(start: int) -> str:
+        return configure.configuration_text(scenario, start, fusion, navigator)
+
+    nodes = _consumers(settings, fusion, navigator, configuration_at(start_at_ns))
     # every sensor reads the very text that is recorded, so nobody can edit the scenario between two starts
     common = {"start_at_ns": start_at_ns, "rate": settings.rate, "seed": -1}
     text = scenario.to_yaml()
     for name, publishes in _sources(scenario).items():
         nodes.append(_spec(settings, "riins_sim", name, "source", common, files={"scenario": text}, publishes=publishes))
-    return Graph(tuple(nodes), scenario.name, scenario.duration_s, settings.rate, start_at_ns, True, settings.namespace, configuration, scenario.scoring.from_s)
+    return Graph(
+        tuple(nodes),
+        scenario.name,
+        scenario.duration_s,
+        settings.rate,
+        start_at_ns,
+        True,
+        settings.namespace,
+        configuration_at,
+        scenario.scoring.from_s,
+    )
 
 
 def replay_graph(settings: GraphSettings) -> Graph:
-    """Graph that replays the raw topics of a bag through the fusion and the navigator it was recorded for."""
-    from riins_eval import configure
+    """Graph that replays the raw topics of a bag through the fusion and the navigator it was recorded for.
 
-    recorded = configure.from_bag(settings.bag)
-    nodes = _consumers(settings, recorded.fusion, recorded.navigator, recorded.text)
-    parameters = {"path": str(Path(settings.bag).absolute()), "rate": settings.rate}
-    nodes.append(_spec(settings, "riins_bag", "player", "source", parameters, publishes=("rimu/raw",)))
-    duration = min(settings.duration_s, recorded.duration_s) if settings.duration_s > 0.0 else recorded.duration_s
-    return Graph(tuple(nodes), settings.bag, duration, settings.rate, 0, False, settings.namespace, recorded.text)
+    Raises
+    ------
+    BagError
+        The bag cannot be read or does not say with which settings it is to be navigated.
+    """
+    from riins_bag.bag import BagError, BagReader
+    from riins_bag.recording import RAW_TOPICS, selected
+    from riins_federated.config import NavigatorConfig
+    from riins_imu_fusion.config import FusionConfig
+
+    with BagReader(settings.bag) as bag:
+        text, topics, recorded_s = bag.configuration(), set(bag.topics), bag.duration_s
+    recorded = yaml.safe_load(text) if text else None
+    if not isinstance(recorded, dict) or not {"fusion", "navigator"} <= set(recorded):
+        raise BagError(f"{settings.bag} has no settings to navigate with on /riins/configuration; only the raw topics can be played (riins bag play)")
+    fusion, navigator = build(FusionConfig, recorded["fusion"], ("fusion",)), build(NavigatorConfig, recorded["navigator"], ("navigator",))
+    nodes = _consumers(settings, fusion, navigator, str(text))
+    raw = sorted(t for t in topics if selected(t, RAW_TOPICS))
+    heard = {t for n in nodes for t in n.subscribes}
+    parameters = {
+        "path": str(Path(settings.bag).absolute()),
+        "rate": settings.rate,
+        "wait_for": [t for t in raw if t.strip("/") in heard],
+    }
+    moved = tuple((t, f"/{settings.namespace.strip('/')}{t}") for t in raw) if settings.namespace.strip("/") else ()
+    publishes = tuple(t.strip("/") for t in raw)
+    nodes.append(_spec(settings, "riins_bag", "player", "source", parameters, publishes=publishes, remappings=moved))
+    duration = min(settings.duration_s, recorded_s) if settings.duration_s > 0.0 else recorded_s
+    scoring = (recorded.get("scenario") or {}).get("scoring") or {}
+    return Graph(
+        tuple(nodes),
+        Path(settings.bag).name,
+        duration,
+        settings.rate,
+        0,
+        False,
+        settings.namespace,
+        lambda _: str(text),
+        float(scoring.get("from_s", 0.0)),
+    )
 
 
 def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
@@ -236,7 +289,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
     ]
     if settings.record:
         parameters = {"path": str(Path(settings.record).absolute())}
-        files = {"configuration_file": configuration}
+        files = {CONFIGURATION: configuration}
         nodes.append(_spec(settings, "riins_bag", "recorder", "observer", parameters, files=files))
     return nodes
 

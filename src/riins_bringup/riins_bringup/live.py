@@ -6,6 +6,7 @@ Does not live here: the nodes (graph.py), processes (processes.py), observation 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -21,7 +22,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
-from riins_bringup.graph import Graph
+from riins_bringup.graph import Graph, NodeSpec, write_files
 from riins_bringup.monitor import Monitor
 from riins_bringup.processes import Exit, GraphError, Processes
 from riins_bringup.table import change_line, live_table, plain_line, summary_table
@@ -88,7 +89,9 @@ class LiveRun:
         self.graph = graph
         self.say = say
         self.processes = Processes(directory)
-        os.environ.update({k: v for k, v in self.processes.environment.items() if k in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE")})
+        os.environ.update(
+            {k: v for k, v in self.processes.environment.items() if k in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE")}
+        )
         self.monitor = Monitor(0, graph.wall_stamps, graph.rate, graph.score_from_s)
         self._watcher: Watcher | None = None
 
@@ -124,10 +127,10 @@ class LiveRun:
                 raise GraphError(describe(dead))
 
         began = time.monotonic()
-        listeners = self.graph.of("consumer", "observer")
-        self.processes.start(*listeners)
+        consumers, observers = self.graph.of("consumer"), self.graph.of("observer")
+        self.processes.start(*consumers, *map(_held, observers))
         self._watcher = Watcher(self.graph.namespace, self.monitor)
-        if missing := self._watcher.wait_for(listeners, READY_TIMEOUT_S, alive):
+        if missing := self._watcher.wait_for(consumers, READY_TIMEOUT_S, alive):
             raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
         needed = time.monotonic() - began
         # the sources need about as long to start as the listeners did; time begins when they are there
@@ -136,13 +139,37 @@ class LiveRun:
             self.graph = self.graph.starting_at(time.time_ns() + round(delay * 1e9))
             self.monitor.start_at_ns = self.graph.start_at_ns
         self.say(f"listeners ready after {needed:.1f} s; time starts " + (f"in {delay:.1f} s" if self.graph.wall_stamps else "with the player"))
-        sources = self.graph.of("source")
-        self.processes.start(*sources)
-        missing = self._watcher.wait_for(sources, READY_TIMEOUT_S, alive)
-        if missing:
-            raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
+        self._start_sources(alive)
+
+    def _start_sources(self, alive: Callable[[], None]) -> None:
+        """Start sources and the recorder; players stay silent until everyone, the recorder too, has subscribed to them."""
+        sources, observers = self.graph.of("source"), self.graph.of("observer")
+        players = () if self.graph.wall_stamps else sources
+        self.processes.start(*(_held(s) if s in players else s for s in sources))
+        for observer in observers:
+            write_files(_held(observer), self.processes.directory)  # what it records first says when time starts
+            self._transition(observer, "configure", alive)
+            self._transition(observer, "activate", alive)
+        for player in players:
+            self._transition(player, "configure", alive)
+        self._all_there(alive)
+        for player in players:
+            self._transition(player, "activate", alive)
         if self.graph.wall_stamps and time.time_ns() > self.graph.start_at_ns:
             self.say("the sensors started late: first samples may be missing (counted as lost)")
+
+    def _transition(self, spec: NodeSpec, label: str, alive: Callable[[], None]) -> None:
+        assert self._watcher is not None
+        if not self._watcher.transition(spec, label, READY_TIMEOUT_S, alive):
+            raise GraphError(f'node "{spec.name}" could not {label}; its last lines: {" / ".join(self.processes.tail(spec.name, 3))}')
+
+    def _all_there(self, alive: Callable[[], None]) -> None:
+        """Wait for the endpoints of the sources, and for the recorder's subscription to all that anyone publishes."""
+        assert self._watcher is not None
+        everything = tuple(t for n in self.graph.of("source", "consumer") for t in n.publishes)
+        observers = (dataclasses.replace(n, subscribes=everything) for n in self.graph.of("observer"))
+        if missing := self._watcher.wait_for([*self.graph.of("source"), *observers], READY_TIMEOUT_S, alive):
+            raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
 
     def dead(self) -> Exit | None:
         """The first node that ended and should not have."""
@@ -181,6 +208,11 @@ class LiveRun:
         return all(not self.processes.alive(s.name) for s in self.graph.of("source") if s.name in self.processes.names)
 
 
+def _held(spec: NodeSpec) -> NodeSpec:
+    """A lifecycle node that waits to be configured and activated by us."""
+    return dataclasses.replace(spec, parameters={**spec.parameters, "autostart": False})
+
+
 def describe(dead: Exit) -> str:
     """Which node died and its last lines, one paragraph."""
     return "\n    ".join([f"{dead}; its last lines:", *(dead.lines or ["(it printed nothing)"])])
@@ -210,7 +242,14 @@ def run_live(graph: Graph, *, console: Console, directory: Path | None = None, r
         bad = [e for e in run.processes.exited() if e.status != 0]
         if outcome.status == 0 and outcome.started and bad:
             outcome = Outcome(1, f"{bad[0]} when it was stopped", bad[0])
-        summary = {"title": graph.title, "status": outcome.status, "ended": outcome.ended, "bag": record or None, "logs": str(directory), **run.monitor.summary()}
+        summary = {
+            "title": graph.title,
+            "status": outcome.status,
+            "ended": outcome.ended,
+            "bag": record or None,
+            "logs": str(directory),
+            **run.monitor.summary(),
+        }
         summary["nodes"] = {e.name: e.status for e in run.processes.exited()}
     if outcome.dead is not None:
         console.print(describe(outcome.dead), style="bold red", markup=False, highlight=False)

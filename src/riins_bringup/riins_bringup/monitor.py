@@ -198,9 +198,8 @@ class Monitor:
             rates = {topic: _rate(times, now_ns) for topic, times in self._arrivals.items()}
             rates["imu samples"] = _slope([r for r in self._received if r[0] > now_ns - _RATE_WINDOW])
             elapsed = (self._nav.stamp_ns - self.start_at_ns) * 1e-9 if self._nav else 0.0
-            return Snapshot(
-                elapsed, self._nav, *self._now, dict(self._health), dict(self._subfilters), rates, self._latency_figures(recent=1000), self._samples(), self._changes[-6:]
-            )  # fmt: skip
+            latency, samples, changes = self._latency_figures(recent=1000), self._samples(), self._changes[-6:]
+            return Snapshot(elapsed, self._nav, *self._now, dict(self._health), dict(self._subfilters), rates, latency, samples, changes)
 
     def changes_since(self, index: int) -> list[Change]:
         """Health changes from number `index` on."""

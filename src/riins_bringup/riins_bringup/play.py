@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from riins_bringup.graph import NodeSpec, write_files
 from riins_bringup.processes import find_executable, node_environment
@@ -35,9 +36,12 @@ def play(bag: Path, *, rate: float, start: float, loop: bool, all_topics: bool, 
     """
     from riins_bag.bag import BagReader
 
-    BagReader(bag).close()  # says what is wrong before a node starts
-    parameters = {"path": str(bag.absolute()), "rate": rate, "start_offset_s": start, "loop": loop, "all_topics": all_topics}
-    spec = NodeSpec("riins_bag", "player", "player", "source", parameters, namespace=namespace)
+    with BagReader(bag) as reader:  # says what is wrong before a node starts
+        topics = sorted(reader.topics)
+    parameters: dict[str, Any] = {"path": str(bag.absolute()), "rate": rate, "start_offset_s": start, "loop": loop, "publish_clock": True}
+    parameters["topics"] = ["*"] if all_topics else []
+    moved = tuple((topic, f"/{namespace.strip('/')}{topic}") for topic in topics) if namespace.strip("/") else ()
+    spec = NodeSpec("riins_bag", "player", "player", "source", parameters, namespace=namespace, remappings=moved)
     executable = find_executable(spec.package, spec.executable)
     directory = Path(tempfile.mkdtemp(prefix="riins-play-"))
     os.execve(executable, [str(executable), *spec.arguments(write_files(spec, directory))], node_environment(directory))

@@ -127,7 +127,13 @@ class Processes:
             with open(self.log(spec.name), "ab") as log:
                 # an own session: Ctrl-C in the terminal reaches the launcher alone, which stops the nodes in order
                 self._running[spec.name] = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment, start_new_session=True, preexec_fn=_die_with_parent
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    env=self.environment,
+                    start_new_session=True,
+                    preexec_fn=_die_with_parent,
                 )
             self._specs[spec.name] = spec
 

@@ -17,7 +17,15 @@ from rich.text import Text
 from riins_bringup.monitor import MODES, VALIDITIES, Change, NavRow, Snapshot
 
 _KNOT = 1852.0 / 3600.0
-_STYLE = {"healthy": "green", "suspect": "yellow", "probation": "cyan", "compensated": "cyan", "isolated": "bold red", "excluded": "magenta", "absent": "red"}
+_STYLE = {
+    "healthy": "green",
+    "suspect": "yellow",
+    "probation": "cyan",
+    "compensated": "cyan",
+    "isolated": "bold red",
+    "excluded": "magenta",
+    "absent": "red",
+}
 _VALIDITY_STYLE = ("green", "yellow", "bold red")
 
 
@@ -64,7 +72,9 @@ def _stream(snapshot: Snapshot) -> Table:
     for name, s in snapshot.subfilters.items():
         state, reason = snapshot.health.get(name, ("", ""))
         text = Text(f"{state:<9}", style=_STYLE.get(state, ""))
-        text.append(f" NIS {s['statistic']:6.1f} / {s['threshold']:.1f}  used {s['accepted']} rejected {s['rejected']} late {s['late']}", style="default")
+        text.append(
+            f" NIS {s['statistic']:6.1f} / {s['threshold']:.1f}  used {s['accepted']} rejected {s['rejected']} late {s['late']}", style="default"
+        )
         if state not in ("healthy", "") and reason not in ("none", ""):
             text.append(f"  {reason}")
         table.add_row(name, text)
@@ -121,7 +131,9 @@ def summary_table(summary: dict[str, Any]) -> Table:
         if summary[key] is not None:
             table.add_row(name, f"{summary[key]:.{digits}f} {unit}")
     if summary["latency_ms"]:
-        table.add_row("latency IMU stamp to NavState p50, p99, max", ", ".join(f"{summary['latency_ms'][k]:.1f}" for k in ("p50", "p99", "max")) + " ms")
+        table.add_row(
+            "latency IMU stamp to NavState p50, p99, max", ", ".join(f"{summary['latency_ms'][k]:.1f}" for k in ("p50", "p99", "max")) + " ms"
+        )
     samples = summary["samples"]
     table.add_row("IMU samples received, lost", f"{samples.get('received', 0)}, {_lost(samples)}")
     isolated = [f"{i['target']} at {i['at_s']:.1f} s" for i in summary["isolations"]]

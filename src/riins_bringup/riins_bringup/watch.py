@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -25,6 +27,7 @@ from riins_msgs.msg import FederatedStatus, InertialFdi, NavState
 
 # deep, so that a busy terminal never makes the launcher report a loss that the navigator did not have
 _QOS = QoSProfile(depth=2000)
+_TRANSITIONS = {"configure": Transition.TRANSITION_CONFIGURE, "activate": Transition.TRANSITION_ACTIVATE}
 
 
 class Watcher:
@@ -94,6 +97,34 @@ class Watcher:
             time.sleep(0.05)
         return lines
 
+    def transition(self, spec: NodeSpec, label: str, timeout: float, check: Callable[[], None] = lambda: None) -> bool:
+        """Ask a lifecycle node for a transition, "configure" or "activate"; True when it was made.
+
+        Parameters
+        ----------
+        spec : the node
+        label : name of the transition
+        timeout : s
+        check : called while waiting; may raise to give up
+        """
+        client = self.node.create_client(ChangeState, f"{spec.topic(spec.name)}/change_state")
+        deadline = time.monotonic() + timeout
+        try:
+            while not client.service_is_ready():
+                if time.monotonic() > deadline:
+                    return False
+                check()
+                time.sleep(0.02)
+            future = client.call_async(ChangeState.Request(transition=Transition(id=_TRANSITIONS[label])))
+            while not future.done():
+                if time.monotonic() > deadline:
+                    return False
+                check()
+                time.sleep(0.02)
+            return bool(future.result().success)
+        finally:
+            self.node.destroy_client(client)
+
     def _subscribe(self, kind: Any, topic: str, callback: Callable[[Any, dict[str, int]], None]) -> None:
         def received(message: Any, info: dict[str, int]) -> None:
             self.monitor.arrived(topic, _arrival(info))  # type: ignore[union-attr]
@@ -118,7 +149,9 @@ class Watcher:
         for kind, triad in (("gyro", message.gyro), ("accel", message.accel)):
             for i, state in enumerate(triad.state):
                 reason = SENSOR_REASONS[triad.reason[i]] if i < len(triad.reason) else ""
-                self.monitor.health(_ns(triad.since[i] if i < len(triad.since) else message.header.stamp), f"{kind}_{i}", SENSOR_STATES[state], reason)
+                self.monitor.health(
+                    _ns(triad.since[i] if i < len(triad.since) else message.header.stamp), f"{kind}_{i}", SENSOR_STATES[state], reason
+                )
         rejected = message.rejected_length + message.rejected_stamp + message.rejected_no_solution
         self.monitor.imu_received(message.received, _arrival(info))
         self.monitor.counts(fused=message.fused, lost=message.lost, rejected=rejected, restarts=message.restarts)
@@ -130,7 +163,9 @@ class Watcher:
             values = {"accepted": s.accepted, "rejected": s.rejected, "late": s.late, "malformed": s.malformed}
             self.monitor.subfilter(s.name, {**values, "statistic": s.statistic, "threshold": s.threshold})
         late = sum(s.late for s in message.subfilters)
-        self.monitor.counts(navigator_received=message.imu_received, navigator_lost=message.imu_lost, navigator_rejected=message.imu_rejected, late=late)
+        self.monitor.counts(
+            navigator_received=message.imu_received, navigator_lost=message.imu_lost, navigator_rejected=message.imu_rejected, late=late
+        )
 
 
 def _has(endpoints: Iterable[Any], spec: NodeSpec) -> bool:
@@ -149,6 +184,4 @@ def _ns(stamp: Any) -> int:
 def _row(m: NavState) -> NavRow:
     validity = (m.position_validity, m.velocity_validity, m.heading_validity)
     place = (math.radians(m.latitude), math.radians(m.longitude), m.height)
-    return NavRow(
-        _ns(m.header.stamp), m.sequence, *place, m.velocity_north, m.velocity_east, m.heading, m.mode, validity, m.protection_radius
-    )
+    return NavRow(_ns(m.header.stamp), m.sequence, *place, m.velocity_north, m.velocity_east, m.heading, m.mode, validity, m.protection_radius)

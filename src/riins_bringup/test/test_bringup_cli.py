@@ -24,7 +24,9 @@ def test_help_at_every_level_has_an_example(verb, capsys):
 
 
 def test_help_imports_nothing_heavy():
-    code = "import sys, riins_bringup.cli as c; c.main(['--help']); print([m for m in ('numpy', 'scipy', 'numba', 'rclpy', 'yaml') if m in sys.modules])"
+    code = (
+        "import sys, riins_bringup.cli as c; c.main(['--help']); print([m for m in ('numpy', 'scipy', 'numba', 'rclpy', 'yaml') if m in sys.modules])"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.splitlines()[-1] == "[]"
 

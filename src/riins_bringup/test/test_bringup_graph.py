@@ -45,7 +45,12 @@ def test_parameter_file_keeps_values_exactly(tmp_path):
 
 def test_words_become_settings_or_one_error():
     assert settings_from_words({"rate": "3", "seed": "7", "scenario": "calm_12h"}) == GraphSettings(rate=3.0, seed=7, scenario="calm_12h")
-    for words, message in (({"rate": "fast"}, "rate"), ({"rte": "1"}, 'did you mean "rate"'), ({"rate": "0"}, "0.01"), ({"log_level": "loud"}, "one of")):
+    for words, message in (
+        ({"rate": "fast"}, "rate"),
+        ({"rte": "1"}, 'did you mean "rate"'),
+        ({"rate": "0"}, "0.01"),
+        ({"log_level": "loud"}, "one of"),
+    ):
         with pytest.raises(SettingError, match=message):
             settings_from_words(words)
 
@@ -77,7 +82,9 @@ def test_recorder_gets_the_configuration_the_nodes_run_with(harbour):
     text = harbour.node("recorder").files["configuration_file"]
     recorded = yaml.safe_load(text)
     assert {"scenario", "fusion", "navigator"} <= set(recorded)
-    assert harbour.configuration == text
+    assert recorded["start_at_ns"] == START
+    moved = yaml.safe_load(harbour.starting_at(START + 7).node("recorder").files["configuration_file"])
+    assert moved == {**recorded, "start_at_ns": START + 7}
 
 
 def test_seed_and_duration_reach_sensors_and_bag():
@@ -85,7 +92,8 @@ def test_seed_and_duration_reach_sensors_and_bag():
     for node in graph.of("source"):
         scenario = yaml.safe_load(node.files["scenario"])
         assert scenario["seed"] == 99 and scenario["duration_s"] == 20.0
-    assert graph.duration_s == 20.0 and "99" in graph.configuration
+    assert graph.duration_s == 20.0
+    assert yaml.safe_load(graph.node("recorder").files["configuration_file"])["scenario"]["seed"] == 99
 
 
 def test_no_recorder_unless_asked_and_namespace_for_all():
