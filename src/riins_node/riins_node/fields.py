@@ -309,16 +309,28 @@ def federated_status(report: Any, text: str = "") -> Fields:
     }
 
 
-def fault(fault: Any, start_at_ns: int = 0) -> Fields:
+def inertial_fdi(status: Any, text: str | None = None) -> Fields:
+    """riins_msgs/InertialFdi of a riins_imu_fusion FdiStatus; `text`: what changed, one line, None: the status' own."""
+    counters = ("received", "fused", "lost", "rejected_length", "rejected_stamp", "rejected_no_solution", "restarts")
+    return {
+        "header": header(int(status.stamp_ns), IMU),
+        "gyro": _triad(status.gyro),
+        "accel": _triad(status.accel),
+        **{name: int(getattr(status.counters, name)) for name in counters},
+        "text": status.text if text is None else text,
+    }
+
+
+def fault(one: Any, start_at_ns: int = 0) -> Fields:
     """riins_msgs/Fault of a riins_sim Fault, whose times count from `start_at_ns`; no end is 0."""
     return {
-        "target": fault.target,
-        "type": int(fault.type),
-        "size": float(fault.size),
-        "slope": float(fault.slope),
-        "axis": fault.axis,
-        "start": start_at_ns + int(fault.start_ns),
-        "end": 0 if fault.end_ns is None else start_at_ns + int(fault.end_ns),
+        "target": one.target,
+        "type": int(one.type),
+        "size": float(one.size),
+        "slope": float(one.slope),
+        "axis": one.axis,
+        "start": start_at_ns + int(one.start_ns),
+        "end": 0 if one.end_ns is None else start_at_ns + int(one.end_ns),
     }
 
 
@@ -348,6 +360,22 @@ def _twist(stamp_ns: Any, frame_id: str, linear: Array, covariance: Array) -> Fi
     whole = np.zeros((*covariance.shape[:-2], 6, 6))
     whole[..., :3, :3] = covariance
     return {"header": header(stamp_ns, frame_id), "twist": {"twist": {"linear": vector(linear)}, "covariance": _flat(whole)}}
+
+
+def _triad(triad: Any) -> Fields:
+    return {
+        "parity": np.asarray(triad.parity, np.float64),
+        "statistic": float(triad.statistic),
+        "threshold": float(triad.threshold),
+        "dof": int(triad.dof),
+        "detected": bool(triad.detected),
+        "suspect": int(triad.suspect),
+        "state": [int(state) for state in triad.state],
+        "reason": [int(reason) for reason in triad.reason],
+        "since": [int(since) for since in triad.since_ns],
+        "drift": np.asarray(triad.drift, np.float64),
+        "capability": int(triad.capability),
+    }
 
 
 def _subfilter(sub: Any) -> Fields:
