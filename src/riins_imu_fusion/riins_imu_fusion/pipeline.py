@@ -85,6 +85,9 @@ class FusionPipeline:
         self._statuses: list[FdiStatus] = []
         self._text: list[str] = []
         self._length_event_ns = ALWAYS_NS
+        self.drift: Array = np.zeros((2, n))
+        """Drift removed from each sensor, (kind, sensor) [rad/s, m/s^2]; this method, weighted least squares, removes none."""
+        self.drift.flags.writeable = False
         self._refresh_all()
 
     def process(
@@ -364,7 +367,7 @@ class FusionPipeline:
             state=tuple(TRIAD_CODE[machine.state] for machine in machines),
             reason=tuple(machine.reason for machine in machines),
             since_ns=tuple(machine.since_ns for machine in machines),
-            drift=np.zeros(self.n),
+            drift=self.drift[kind],
             capability=capability,
             doubtful=bool(st.doubt[kind]),
             used=int(st.used[kind]),

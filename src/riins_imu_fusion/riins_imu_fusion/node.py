@@ -1,0 +1,134 @@
+"""Node `imu_fusion`: redundant samples in, one call to the FusionPipeline, fused samples and health out.
+
+Lives here: parameters, subscription, publications, service, diagnostics.
+Does not live here: any mathematics (pipeline.py) or message layout (riins_node.fields, reporting.py). The wall clock decides "no IMU" alone.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from riins_core.settings import setting
+from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu
+from riins_msgs.srv import SetSensorUse
+from riins_node import convert, fields, qos
+from riins_node.parameters import declare
+from riins_node.runner import AutostartLifecycleNode, run
+from sensor_msgs.msg import Imu
+
+from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.pipeline import FusionPipeline
+from riins_imu_fusion.reporting import diagnosis, inertial_fdi
+from riins_imu_fusion.types import FusedBlock
+
+OUTPUTS: dict[str, tuple[type, Any]] = {
+    "imu/fused": (FusedImu, qos.imu),
+    "imu/data_raw": (Imu, qos.imu),
+    "fdi/status": (InertialFdi, qos.latched),
+    "/diagnostics": (DiagnosticArray, qos.navigation),
+}
+
+
+@dataclass(frozen=True)
+class NodeConfig(FusionConfig):
+    """Parameters of the node: those of the fusion, and when it says that there is no IMU."""
+
+    imu_timeout_s: float = setting(1.0, "wall time without a sample after which the node says that there is no IMU", "s", 0.05, 100.0)
+
+
+class ImuFusionNode(AutostartLifecycleNode):
+    """The fusion of redundant inertial sensors as a lifecycle node."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("imu_fusion", **kwargs)
+        self._config = declare(self, NodeConfig, also=["autostart"])
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
+        self._pipeline = FusionPipeline(self._config, statuses=True)
+        self._pipeline.warm_up()
+        self._heard = time.monotonic()
+        self._published = {
+            name: self.create_publisher(kind, name, profile(), qos_overriding_options=qos.overridable()) for name, (kind, profile) in OUTPUTS.items()
+        }
+        self._input = self.create_subscription(RedundantImu, "rimu/raw", self._on_sample, qos.imu(), qos_overriding_options=qos.overridable())
+        self._service = self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use)
+        self._timer = self.create_timer(1.0, self._diagnose)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to listen; the time-out for "no IMU" counts from here."""
+        self._heard = time.monotonic()
+        return super().on_activate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Undo on_configure."""
+        self.destroy_timer(self._timer)
+        self.destroy_service(self._service)
+        self.destroy_subscription(self._input)
+        for publisher in self._published.values():
+            self.destroy_publisher(publisher)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _publish(self, name: str, content: dict[str, Any]) -> None:
+        self._published[name].publish(convert.fill(OUTPUTS[name][0], content))
+
+    def _on_sample(self, message: Any) -> None:
+        if not self.active:
+            return
+        self._heard = time.monotonic()
+        sample = convert.read_redundant_imu(message)
+        gyro, accel = sample["gyro"], sample["accel"]
+        if gyro.size == accel.size == self._pipeline.n:
+            block = self._pipeline.process(
+                [sample["stamp_ns"]], [sample["sequence"]], gyro[None], accel[None], [sample["gyro_valid"]], [sample["accel_valid"]]
+            )
+            if len(block):
+                self._publish_fused(block)
+        else:
+            self._pipeline.reject_length(sample["stamp_ns"], sample["sequence"], gyro.size, accel.size)
+        self._report()
+
+    def _publish_fused(self, block: FusedBlock) -> None:
+        stamp_ns, gyro_used, accel_used = int(block.stamp_ns[0]), int(block.gyro_used[0]), int(block.accel_used[0])
+        rate_covariance, force_covariance = self._pipeline.rate_covariance(gyro_used), self._pipeline.force_covariance(accel_used)
+        rate, force, drift = block.rate[0], block.force[0], self._pipeline.drift
+        fused = fields.fused_imu(
+            stamp_ns, int(block.sequence[0]), rate, force, rate_covariance, force_covariance, gyro_used, accel_used, drift[0], drift[1]
+        )
+        self._publish("imu/fused", fused)
+        self._publish("imu/data_raw", fields.imu_raw(stamp_ns, rate, force, rate_covariance, force_covariance))
+
+    def _report(self) -> None:
+        for status in self._pipeline.drain_statuses():
+            self._publish("fdi/status", inertial_fdi(status))
+        for event in self._pipeline.drain_events():
+            self.get_logger().info(f"at {event.stamp_ns * 1e-9:.3f} s: {event.text}")
+
+    def _set_sensor_use(self, request: Any, response: Any) -> Any:
+        result = self._pipeline.set_sensor_use(request.target, request.use, convert.to_ns(request.effective))
+        response.success, response.message = result.success, result.message
+        return response
+
+    def _diagnose(self) -> None:
+        if not self.active:
+            return
+        alive = time.monotonic() - self._heard <= self._config.imu_timeout_s
+        if not alive:
+            self.get_logger().warning("no IMU: nothing on rimu/raw", throttle_duration_sec=10.0)
+        self._publish("/diagnostics", fields.diagnostics(self.get_clock().now().nanoseconds, diagnosis(self._pipeline.status(), alive)))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point of `ros2 run riins_imu_fusion imu_fusion`."""
+    return run(ImuFusionNode, args, "imu_fusion")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
