@@ -76,13 +76,14 @@ def test_errors_name_the_line(old, new, line, words):
 
 @pytest.mark.parametrize("text", ["", "- a\n- b\n", "just words", "a: &x [*x]\n", "\x00"])
 def test_no_scenario_at_all(text):
-    with pytest.raises(ScenarioError, match="bad.yaml:1: "):
+    with pytest.raises(ScenarioError, match=r"^bad\.yaml:1: "):
         from_yaml(text, "bad.yaml")
 
 
 def test_round_trip_through_yaml(voyage):
     faults = [{"target": "accel_2", "type": "ramp", "slope_ug_s": 3.0, "start_s": 5.0}]
-    scenario = voyage(faults=faults, outages=[{"target": "bds", "start_s": 1.0, "end_s": 2.5}], navigator={"a": {"b": [1, 2.5]}}, expect={"isolated": ["accel_2"]})
+    outages = [{"target": "bds", "start_s": 1.0, "end_s": 2.5}]
+    scenario = voyage(faults=faults, outages=outages, navigator={"a": {"b": [1, 2.5]}}, expect={"isolated": ["accel_2"]})
     again = from_yaml(scenario.to_yaml())
     assert again == scenario
     assert again.to_yaml() == scenario.to_yaml()

@@ -1,5 +1,7 @@
 """Sea state: energy, distribution, encounter, and the hull's answer."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.signal import welch
@@ -33,7 +35,7 @@ def test_components_hold_the_significant_wave_height_and_so_does_a_record():
     assert frequency[np.argmax(power)] == pytest.approx(1.0 / 8.0, rel=0.1)
     # the crest-trough definition of an oceanographer: mean of the highest third of zero up-crossing waves, 4 sigma within some per cent
     crossings = np.flatnonzero((eta[:-1] < 0.0) & (eta[1:] >= 0.0))
-    heights = np.sort([np.ptp(eta[a:b]) for a, b in zip(crossings[:-1], crossings[1:], strict=True)])
+    heights = np.sort([np.ptp(eta[a:b]) for a, b in pairwise(crossings)])
     assert heights[-len(heights) // 3 :].mean() == pytest.approx(3.0, rel=0.12)
 
 
