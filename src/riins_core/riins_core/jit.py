@@ -1,4 +1,4 @@
-"""Compilation of kernels: numba's njit with the types of the function kept, and the rules a kernel obeys.
+"""Compilation of kernels: numba's njit with the types of the function kept, and a cache that notices every change.
 
 Lives here: `jit`. Kernels work sample by sample on plain arrays, call no BLAS and never use fastmath, so a result cannot depend on the block size.
 Does not live here: any mathematics, and the warming of kernels (each algorithm object has its own `warm_up`).
@@ -6,12 +6,19 @@ Does not live here: any mathematics, and the warming of kernels (each algorithm 
 
 from __future__ import annotations
 
+import ast
+import functools
+import hashlib
+import importlib.util
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+_OURS = "riins_"  # prefix of the packages whose sources count
 
 
 def jit(function: Function) -> Function:
@@ -27,7 +34,66 @@ def jit(function: Function) -> Function:
 
     Notes
     -----
-    The cache notices a change of the file a kernel stands in, not of kernels it calls in other files: after editing a kernel
-    that others call, remove the `__pycache__` directories. Installing anew does that, since it writes every file.
+    numba's own cache looks at the date of the file a kernel stands in, so it misses an edit of a kernel or a constant in another file and
+    goes on with old code. Here an entry is good for the contents of the file and of all files of ours it imports, directly or not.
     """
-    return cast(Function, numba.njit(cache=True)(function))
+    compiled = cast(Any, numba.njit(function))
+    compiled.enable_caching()
+    # numba has no public way to say what an entry depends on; test_core_jit.py fails if this stops working
+    compiled._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename))
+    return cast(Function, compiled)
+
+
+def source_stamp(file: Path) -> str:
+    """Hash of the contents of a source file and of every file of ours it imports, directly or through others."""
+    found: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting += _imports(path)
+    digest = hashlib.blake2b(digest_size=16)
+    for name, path in sorted((_module_name(path), path) for path in found):
+        digest.update(f"{name}\n".encode() + _contents(path))
+    return digest.hexdigest()
+
+
+def _module_name(path: Path) -> str:
+    """Dotted name by where the file stands: `__name__` is of no use in a module run as a program."""
+    parts = [path.stem]
+    while (path.parent / "__init__.py").is_file() and len(parts) < 10:
+        path = path.parent
+        parts.insert(0, path.name)
+    return ".".join(parts)
+
+
+@functools.cache
+def _contents(path: Path) -> bytes:
+    return path.read_bytes() if path.is_file() else b""
+
+
+@functools.cache
+def _imports(path: Path) -> tuple[Path, ...]:
+    """Files of ours a file imports."""
+    names: set[str] = set()
+    module = _module_name(path)
+    for node in ast.walk(ast.parse(_contents(path))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parent = ".".join(module.split(".")[: -node.level]) if node.level else ""
+            base = ".".join(part for part in (parent, node.module) if part)
+            names.add(base)
+            names.update(f"{base}.{alias.name}" for alias in node.names)  # a module, or a name in one: the latter has no file
+    return tuple(file for name in sorted(names) if name.startswith(_OURS) for file in _files(name))
+
+
+@functools.cache
+def _files(name: str) -> tuple[Path, ...]:
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return ()
+    return (Path(spec.origin),) if spec is not None and spec.origin is not None and spec.origin.endswith(".py") else ()
+

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from riins_core import earth
 from riins_core.rotation import dcm_from_euler, rotate
 

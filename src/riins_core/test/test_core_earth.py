@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core import earth
 
 latitudes = st.floats(-1.55, 1.55)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from riins_core import earth, frames
 from riins_core.rotation import dcm_from_euler, dcm_from_quat, rotate
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core import imu_array as ia
 
 SIX = list(ia.CONFIGURATIONS)

@@ -6,6 +6,7 @@ import scipy.linalg
 from core_motion import Motion, Wave, ship_in_waves
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core import earth
 from riins_core import ins_error as ie
 from riins_core.rotation import dcm_from_euler, euler_from_dcm

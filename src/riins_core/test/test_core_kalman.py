@@ -5,6 +5,7 @@ import pytest
 import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core import kalman
 
 few = settings(max_examples=40, deadline=None)

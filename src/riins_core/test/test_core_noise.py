@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from riins_core import noise
 from scipy import stats
+
+from riins_core import noise
 
 few = settings(max_examples=25, deadline=None)
 splits = st.lists(st.integers(1, 90), min_size=1, max_size=6)

@@ -4,8 +4,9 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from riins_core import rotation as r
 from scipy.spatial.transform import Rotation
+
+from riins_core import rotation as r
 
 angle = st.floats(-np.pi, np.pi)
 component = st.floats(-5.0, 5.0).map(lambda x: x if abs(x) > 1e-12 else 0.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from riins_core import sensor_errors as se
 from riins_core.imu_array import dodecahedron
 from riins_core.settings import SettingError, build

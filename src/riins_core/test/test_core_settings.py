@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import pytest
+
 from riins_core.settings import SettingError, as_mapping, build, field_types, flatten, section, setting, unflatten
 
 
@@ -20,7 +21,7 @@ class Outer:
     on: bool = setting(True, "on or off")
     limit: float | None = setting(None, "limit", "m", low=0.0)
     words: tuple[str, ...] = setting((), "any words")
-    inner: Inner = section(Inner, "the inner part")  # noqa: RUF009 - returns a dataclasses.field
+    inner: Inner = section(Inner, "the inner part")
 
     def __post_init__(self):
         if self.count == 7:

@@ -7,6 +7,7 @@ import pytest
 from core_motion import Motion, Wave, coning, ship_in_waves
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core import earth
 from riins_core import strapdown as sd
 from riins_core.ins_error import difference
