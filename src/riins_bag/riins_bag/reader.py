@@ -209,7 +209,9 @@ class BagReader:
         msgtype = self.topics[topic].msgtype
         unpacker = Unpacker(self.typestore, msgtype, None if fields is None else tuple(fields))
         times: list[NDArray[np.int64]] = []
-        for _, file, index in self._chunks((topic,), begin, end):
+        places: list[NDArray[np.int64]] = []
+        chunks = sorted(self._chunks((topic,), begin, end), key=lambda entry: (entry[0], entry[2].chunk_start_offset))
+        for rank, (_, file, index) in enumerate(chunks):
             data = np.frombuffer(file.load(index), np.uint8)
             for key, channel in file.summary.channels.items():
                 if channel.topic != topic:
@@ -218,13 +220,15 @@ class BagReader:
                 inside = (log >= begin) & (log < end)
                 if not inside.all():
                     log, offsets = log[inside], offsets[inside]
-                self._feed(unpacker, data, log, offsets, times)
+                for row in self._feed(unpacker, data, offsets):
+                    times.append(log[row])
+                    places.append(offsets[row] + (rank << 33))  # an order of all messages as they are in the file
         if not unpacker.rows:
             return _empty_columns(self.typestore, msgtype, unpacker)
-        log_time = np.concatenate(times)
+        log_time, place = np.concatenate(times), np.concatenate(places)
         columns = {"log_time": log_time} | _join_times(unpacker.columns())
-        if np.any(np.diff(log_time) < 0):
-            order = np.argsort(log_time, kind="stable")
+        if np.any(np.diff(log_time) < 0) or np.any(np.diff(place) < 0):
+            order = np.lexsort((place, log_time))
             columns = {name: column[order] for name, column in columns.items()}
         return columns
 
@@ -283,30 +287,27 @@ class BagReader:
         found.sort(key=lambda entry: (entry[0], entry[1], entry[3].chunk_start_offset))
         yield from ((number, file, index) for _, number, file, index in found)
 
-    def _feed(
-        self, unpacker: Unpacker, data: NDArray[np.uint8], log: NDArray[np.int64], offsets: NDArray[np.int64], times: list[NDArray[np.int64]]
-    ) -> None:
-        if not len(offsets):
-            return
+    def _feed(self, unpacker: Unpacker, data: NDArray[np.uint8], offsets: NDArray[np.int64]) -> Iterator[NDArray[np.intp]]:
+        """Feed the messages at `offsets` of a chunk; yields which of them were fed, in that order."""
         if self._compressed:
-            bodies = [zstandard.ZstdDecompressor().decompress(_body(data, int(at)).tobytes()) for at in offsets]
-            for body in bodies:
+            for number, offset in enumerate(offsets):
+                body = zstandard.ZstdDecompressor().decompress(_body(data, int(offset)).tobytes())
                 unpacker.feed(np.frombuffer(body, np.uint8)[None, :])
-            times.append(log)
+                yield np.array([number])
             return
         lengths = np.zeros(len(offsets), np.int64)
         for byte in range(4):  # the record's 64-bit length; no chunk is larger than 4 GiB
             lengths |= data[offsets + 1 + byte].astype(np.int64) << (8 * byte)
         for length in dict.fromkeys(lengths.tolist()):
-            same = lengths == length
-            begin, size = offsets[same], length + 9
+            fed = np.nonzero(lengths == length)[0]
+            begin, size = offsets[fed], length + 9
             step = np.diff(begin)
             if len(begin) > 1 and step[0] >= size and np.all(step == step[0]):  # evenly spaced: a view will do
                 rows = np.lib.stride_tricks.as_strided(data[begin[0] :], (len(begin), size), (int(step[0]), 1), writeable=False)
             else:
                 rows = data[begin[:, None] + np.arange(size)]
             unpacker.feed(rows[:, MESSAGE.size :])
-            times.append(log[same])
+            yield fed
 
     def _message(self, channel: Channel, data: bytes, log_ns: int) -> Message:
         if self._compressed:
