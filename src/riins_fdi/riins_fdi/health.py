@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from riins_core.settings import setting
 
@@ -262,7 +262,7 @@ class HealthMachine:
             return self._to(stamp_ns, HealthState.HEALTHY, self._recovered)
         return None
 
-    def _to(self, stamp_ns: int, state: HealthState, reason: int, **memory: object) -> Change:
+    def _to(self, stamp_ns: int, state: HealthState, reason: int, **memory: Any) -> Change:
         change = Change(stamp_ns, self._m.state, state, reason)
         self._m = _Memory(state, reason, stamp_ns)._replace(**memory)
         return change

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from riins_core.imu_array import ImuArray
-from riins_core.jit import jit
 from scipy.optimize import brentq
 from scipy.stats import chi
 
+from riins_core.imu_array import ImuArray
+from riins_core.jit import jit
 from riins_fdi.innovation import nis_threshold
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ def parity_relations(array: ImuArray) -> tuple[Array, list[tuple[int, ...]]]:
     ValueError
         Four of the sensors have more than one relation (three in a plane, two parallel).
     """
-    members = list(itertools.combinations(range(array.n), 4))
+    members: list[tuple[int, ...]] = list(itertools.combinations(range(array.n), 4))
     relations = np.zeros((len(members), array.n))
     for row, four in enumerate(members):
         _, singular, vt = np.linalg.svd(array.H[list(four)].T)

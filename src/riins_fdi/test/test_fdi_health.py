@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core.settings import SettingError, build
 from riins_fdi.health import (
     IN_USE,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+
 from riins_fdi.innovation import nis_threshold
 
 

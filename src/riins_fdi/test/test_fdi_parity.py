@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, ncx2, norm
+
 from riins_core.imu_array import CONFIGURATIONS, DODECAHEDRON_ANGLE, ImuArray
 from riins_core.sensor_errors import normal
 from riins_fdi import parity as P
 from riins_fdi.parity import Capability
-from scipy.stats import chi2, ncx2, norm
 
 ARRAY = ImuArray(CONFIGURATIONS["dodecahedron"])
 V = ARRAY.parity()

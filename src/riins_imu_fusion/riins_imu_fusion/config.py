@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from riins_core import imu_array
 from riins_core.frames import frd_to_flu
 from riins_core.settings import SettingError, section, setting

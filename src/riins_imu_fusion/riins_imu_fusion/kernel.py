@@ -1,118 +1,55 @@
 """The compiled inner loop of the fusion: one sample after the other until something happens that Python decides.
 
 Lives here: stamp and sequence checks, availability of each axis, GLT test and isolation, least squares, judging of sensors that are out.
-Does not live here: the health machines, the making of tables, events (pipeline.py). No result depends on where a block ends.
+Does not live here: the arrays it works on (state.py), the health machines, the making of tables, events (pipeline.py).
+No result depends on where a block ends.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
+
 from riins_core.jit import jit
 from riins_fdi.parity import parity_vector, suspect, suspect_pair
-
-F = NDArray[np.float64]
-I = NDArray[np.int64]  # noqa: E741
-U = NDArray[np.uint64]
-B = NDArray[np.bool_]
-
-# why fuse_samples came back
-DONE, EVENT, TICK, RESTART, COMMAND, NEED_TABLE = 0, 1, 2, 4, 8, 16
-# verdicts
-NONE, GOOD, BAD = 0, 1, 2
-# alarms
-QUIET, RESOLVED, UNRESOLVED = 0, 1, 2
-# reasons, as types.Reason
-PARITY, STUCK, NOT_FINITE, SATURATED, INVALID = 1, 2, 3, 4, 5
-# elements of State.clock
-LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
-CLOCK_SIZE = 6
-# elements of State.counts
-RECEIVED, FUSED, LOST, REJECTED_LENGTH, REJECTED_STAMP, REJECTED_NO_SOLUTION, RESTARTS = 0, 1, 2, 3, 4, 5, 6
-COUNTS_SIZE = 7
-
-
-class Block(NamedTuple):
-    """Input: m samples of 2 n sensors."""
-
-    stamp: I
-    sequence: NDArray[np.uint32]
-    gyro: F
-    accel: F
-    gyro_valid: U
-    accel_valid: U
-
-
-class Output(NamedTuple):
-    """Room for m fused samples; leading axis 2: rate, force."""
-
-    stamp: I
-    sequence: NDArray[np.uint32]
-    fused: F  # (2, m, 3)
-    used: U  # (2, m)
-    statistic: F  # (2, m)
-
-
-class Rules(NamedTuple):
-    """What does not change during a run."""
-
-    H: F  # (n, 3)
-    limit: F  # (2,)
-    threshold: F  # (n - 2,), of the GLT by degrees of freedom; [0] is infinite
-    judge_threshold: float  # of one normalized squared residual
-    max_delay: int  # ns
-    lost_limit: int  # a larger jump of the sequence is a new numbering
-    stuck: int  # equal samples; 0: never
-    status_period: int  # ns; 0: no ticks
-    doubt_time: int  # ns
-
-
-class Tables(NamedTuple):
-    """Tests and estimators of the sets of sensors met so far; axes (kind, slot, ...)."""
-
-    key: U  # (2, s), set of sensors as bits
-    count: I  # (2,)
-    dof: I  # (2, s), -1: no solution
-    W: F  # (2, s, 3, n)
-    whitened: F  # (2, s, d, n)
-    gain: F  # (2, s, n)
-    isolable: B  # (2, s, n)
-    reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
-
-
-class State(NamedTuple):
-    """All that the loop remembers from sample to sample; axes (kind, sensor)."""
-
-    clock: I
-    counts: I
-    value: F
-    repeat: I
-    base: B  # in use by the health machine
-    judged: B  # out, but on the way back
-    wake: I  # (2, 2, n), stamps from which a passed [0] and a failed [1] test concern the health machine
-    calm: U  # (2,), sensors in use if all of them are healthy and nobody is on the way back; else the empty set
-    mean_sum: F
-    mean_count: I
-    verdict: I
-    why: I  # reason of a failed check or verdict, 0: none
-    wakes: B
-    left_out: I  # (2, n, 8)
-    z: F  # measurements of the last sample, 0 where there is none
-    x: F  # (2, 3)
-    key: U  # (2,), set tested
-    slot: I  # (2,), its table
-    used: U  # (2,), set fused
-    used_slot: I
-    statistic: F  # (2,)
-    alarm: I  # (2,)
-    leave: I  # (2, 2), sensors left out by the parity test, -1: none
-    suspect: I  # (2,)
-    doubt: I  # (2,), 1: doubtful
-    doubt_last: I  # (2,), stamp of the last unresolved alarm
-    need: I  # (1,), kind of the table that is missing
-    need_key: U  # (1,)
+from riins_imu_fusion.state import (
+    BAD,
+    COMMAND,
+    DONE,
+    EVENT,
+    FORCE_STATUS,
+    FUSED,
+    GOOD,
+    HAVE,
+    INVALID,
+    LAST,
+    LOST,
+    NEED_TABLE,
+    NEXT_COMMAND,
+    NONE,
+    NOT_FINITE,
+    PARITY,
+    QUIET,
+    RECEIVED,
+    REJECTED_NO_SOLUTION,
+    REJECTED_STAMP,
+    RESOLVED,
+    RESTART,
+    SATURATED,
+    SEQUENCE,
+    SOLUTION,
+    STUCK,
+    TICK,
+    UNRESOLVED,
+    B,
+    Block,
+    F,
+    I,
+    Output,
+    Rules,
+    State,
+    Tables,
+    U,
+)  # fmt: skip
 
 
 @jit
@@ -301,7 +238,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             if step <= 0:
                 counts[RECEIVED] += 1
                 counts[REJECTED_STAMP] += 1
-                note_sequence(clock, counts, np.int64(block.sequence[k]), rules.lost_limit)
+                note_sequence(clock, counts, int(block.sequence[k]), rules.lost_limit)
                 k += 1
                 continue
         if t >= clock[NEXT_COMMAND]:
@@ -311,7 +248,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
         key[1] = check_axes(1, k, block.accel, block.accel_valid, rules.limit, rules.stuck, value, repeat, base, z, why)
         solved = True
         for kind in range(2):
-            place = find_slot(kind, tb.key, tb.count, key[kind], slot[kind])
+            place = find_slot(kind, tb.key, tb.filled, key[kind], slot[kind])
             if place < 0:
                 st.need[0] = kind
                 st.need_key[0] = key[kind]
@@ -337,7 +274,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             if i < 0:
                 continue
             rest = without(key[kind], i, j)
-            place = find_slot(kind, tb.key, tb.count, rest, 0)
+            place = find_slot(kind, tb.key, tb.filled, rest, 0)
             if place < 0:
                 st.need[0] = kind
                 st.need_key[0] = rest
@@ -396,9 +333,9 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
         if period > 0 and (clock[HAVE] == 0 or clock[FORCE_STATUS] == 1 or t // period != clock[LAST] // period):
             code |= TICK
         if clock[HAVE] == 1:
-            note_sequence(clock, counts, np.int64(block.sequence[k]), rules.lost_limit)
+            note_sequence(clock, counts, int(block.sequence[k]), rules.lost_limit)
         else:
-            clock[SEQUENCE] = np.int64(block.sequence[k])
+            clock[SEQUENCE] = int(block.sequence[k])
         clock[LAST] = t
         clock[HAVE] = 1
         k += 1

@@ -14,18 +14,18 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import Imu
+
 from riins_core.settings import setting
+from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.pipeline import FusionPipeline
+from riins_imu_fusion.reporting import diagnosis, inertial_fdi
+from riins_imu_fusion.types import FusedBlock
 from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu
 from riins_msgs.srv import SetSensorUse
 from riins_node import convert, fields, qos
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
-from sensor_msgs.msg import Imu
-
-from riins_imu_fusion.config import FusionConfig
-from riins_imu_fusion.pipeline import FusionPipeline
-from riins_imu_fusion.reporting import diagnosis, inertial_fdi
-from riins_imu_fusion.types import FusedBlock
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "imu/fused": (FusedImu, qos.imu),

@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from riins_fdi.health import ALWAYS_NS, NEVER_NS, TRIAD_CODE, Change, HealthMachine, HealthState
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.parity import Capability, glt_threshold
-
-from riins_imu_fusion import kernel as K
+from riins_imu_fusion import state as K
 from riins_imu_fusion.config import KINDS, FusionConfig
+from riins_imu_fusion.kernel import fuse_samples, note_sequence
 from riins_imu_fusion.tables import TableCache
 from riins_imu_fusion.types import CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, TriadStatus
 
@@ -38,8 +39,17 @@ class _Command(NamedTuple):
     effective_ns: int
     order: int
     kind: int
-    index: int
+    sensor: int
     use: bool
+
+
+class _Health(NamedTuple):
+    """States of one kind of sensor, kept until one of them changes."""
+
+    state: tuple[int, ...]
+    reason: tuple[int, ...]
+    since_ns: tuple[int, ...]
+    in_use: int
 
 
 class FusionPipeline:
@@ -76,8 +86,9 @@ class FusionPipeline:
             status_period=round(config.status_period_s * 1e9) if statuses else 0,
             doubt_time=round(config.health.probation_s * 1e9),
         )
-        self._state = _fresh_state(n)
+        self._state = K.fresh_state(n)
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
+        self._health: list[_Health | None] = [None, None]
         self._commands: list[_Command] = []
         self._commands_given = 0
         self._commands_refused = 0
@@ -135,7 +146,7 @@ class FusionPipeline:
             return _fused(out, 0)
         k = o = 0
         while True:
-            k, o, code = K.fuse_samples(k, o, block, out, self._cache.tables, self._rules, self._state)
+            k, o, code = fuse_samples(k, o, block, out, self._cache.tables, self._rules, self._state)
             if code == K.DONE:
                 return _fused(out, o)
             if code == K.NEED_TABLE:
@@ -153,7 +164,7 @@ class FusionPipeline:
         st.counts[K.RECEIVED] += 1
         st.counts[K.REJECTED_LENGTH] += 1
         if st.clock[K.HAVE]:
-            K.note_sequence(st.clock, st.counts, sequence, self._rules.lost_limit)
+            note_sequence(st.clock, st.counts, sequence, self._rules.lost_limit)
         if not 0 <= stamp_ns - self._length_event_ns < 1_000_000_000:  # one event a second, whatever the rate
             self._length_event_ns = stamp_ns
             self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"rejected: {gyros} gyros and {accels} accelerometers instead of {self.n} each")
@@ -301,7 +312,7 @@ class FusionPipeline:
     def _restart(self, stamp_ns: int) -> None:
         """A stamp jumped: begin anew; only the operator's exclusions stay."""
         jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
-        old, self._state = self._state, _fresh_state(self.n)
+        old, self._state = self._state, K.fresh_state(self.n)
         self._state.counts[:] = old.counts
         self._state.counts[K.RESTARTS] += 1
         self._state.left_out[:] = old.left_out
@@ -315,11 +326,11 @@ class FusionPipeline:
         """Carry out the commands whose time has come."""
         while self._commands and self._commands[0].effective_ns <= stamp_ns:
             command = heapq.heappop(self._commands)
-            machine = self._machines[command.kind][command.index]
+            machine = self._machines[command.kind][command.sensor]
             change = (machine.restore if command.use else machine.exclude)(stamp_ns, int(Reason.OPERATOR))
-            self._refresh(command.kind, command.index)
+            self._refresh(command.kind, command.sensor)
             if change is not None:
-                self._changed(command.kind, command.index, change)
+                self._changed(command.kind, command.sensor, change)
         self._state.clock[K.NEXT_COMMAND] = self._commands[0].effective_ns if self._commands else NEVER_NS
 
     def _refuse(self, message: str) -> CommandResult:
@@ -336,6 +347,7 @@ class FusionPipeline:
 
     def _refresh(self, kind: int, index: int) -> None:
         st, machine = self._state, self._machines[kind][index]
+        self._health[kind] = None
         st.base[kind, index] = machine.in_use
         st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
         st.wake[:, kind, index] = machine.wakes_at_ns()
@@ -351,12 +363,17 @@ class FusionPipeline:
         return FdiStatus(int(self._state.clock[K.LAST]), self._triad(0), self._triad(1), self.counters, text)
 
     def _triad(self, kind: int) -> TriadStatus:
-        st, machines = self._state, self._machines[kind]
-        begun = bool(st.clock[K.HAVE])
-        tested = int(st.key[kind]) if begun else (1 << self.n) - 1
+        st, health = self._state, self._health[kind]
+        if health is None:
+            machines = self._machines[kind]
+            health = self._health[kind] = _Health(
+                tuple(TRIAD_CODE[machine.state] for machine in machines),
+                tuple(machine.reason for machine in machines),
+                tuple(machine.since_ns for machine in machines),
+                sum(1 << i for i, machine in enumerate(machines) if machine.in_use),
+            )
+        tested = int(st.key[kind]) if st.clock[K.HAVE] else (1 << self.n) - 1
         test = self._cache.test(kind, tested)
-        now = sum(1 << i for i, machine in enumerate(machines) if machine.in_use)
-        capability = self._cache.test(kind, now & tested).capability  # of what can serve the next sample
         return TriadStatus(
             parity=test.V @ st.z[kind],
             statistic=float(st.statistic[kind]),
@@ -364,11 +381,11 @@ class FusionPipeline:
             dof=max(0, test.dof),
             detected=int(st.alarm[kind]) != K.QUIET,
             suspect=int(st.suspect[kind]),
-            state=tuple(TRIAD_CODE[machine.state] for machine in machines),
-            reason=tuple(machine.reason for machine in machines),
-            since_ns=tuple(machine.since_ns for machine in machines),
+            state=health.state,
+            reason=health.reason,
+            since_ns=health.since_ns,
             drift=self.drift[kind],
-            capability=capability,
+            capability=self._cache.test(kind, health.in_use & tested).capability,  # of what can serve the next sample
             doubtful=bool(st.doubt[kind]),
             used=int(st.used[kind]),
             left_out=st.left_out[kind].copy(),
@@ -378,42 +395,3 @@ class FusionPipeline:
 def _fused(out: K.Output, m: int) -> FusedBlock:
     (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
     return FusedBlock(out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
-
-
-def _fresh_state(n: int) -> K.State:
-    def whole(*shape: int) -> NDArray[np.int64]:
-        return np.zeros(shape, np.int64)
-
-    clock = whole(K.CLOCK_SIZE)
-    clock[K.NEXT_COMMAND] = NEVER_NS
-    clock[K.SOLUTION] = 1
-    return K.State(
-        clock=clock,
-        counts=whole(K.COUNTS_SIZE),
-        value=np.full((2, n), np.nan),
-        repeat=whole(2, n),
-        base=np.ones((2, n), np.bool_),
-        judged=np.zeros((2, n), np.bool_),
-        wake=whole(2, 2, n),
-        calm=np.zeros(2, np.uint64),
-        mean_sum=np.zeros((2, n)),
-        mean_count=whole(2, n),
-        verdict=whole(2, n),
-        why=whole(2, n),
-        wakes=np.zeros((2, n), np.bool_),
-        left_out=whole(2, n, 8),
-        z=np.zeros((2, n)),
-        x=np.zeros((2, 3)),
-        key=np.zeros(2, np.uint64),
-        slot=whole(2),
-        used=np.zeros(2, np.uint64),
-        used_slot=whole(2),
-        statistic=np.full(2, np.nan),
-        alarm=whole(2),
-        leave=np.full((2, 2), -1, np.int64),
-        suspect=np.full(2, -1, np.int64),
-        doubt=whole(2),
-        doubt_last=whole(2),
-        need=whole(1),
-        need_key=np.zeros(1, np.uint64),
-    )

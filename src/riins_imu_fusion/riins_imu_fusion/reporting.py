@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+
 from riins_fdi.health import HealthState
 from riins_fdi.parity import Capability
-
 from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.types import FdiStatus, Reason, TriadStatus
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from riins_core.imu_array import ImuArray
 from riins_fdi.parity import ParityTest, parity_test
-
-from riins_imu_fusion.kernel import Tables
+from riins_imu_fusion.state import Tables
 
 Array = NDArray[np.float64]
 
@@ -44,15 +44,15 @@ class TableCache:
     def add(self, kind: int, mask: int) -> None:
         """Make the table of the sensors in `mask`; a set that does not span three axes gets dof = -1."""
         slots = self.tables.key.shape[1]
-        if self.tables.count[kind] == slots:
+        if self.tables.filled[kind] == slots:
             if slots >= _MOST_SLOTS:
                 self._tests[kind].clear()
                 self._covariance[kind].clear()
-                self.tables.count[kind] = 0
+                self.tables.filled[kind] = 0
             else:
                 self._grow(2 * slots)
         t = self.tables
-        slot = int(t.count[kind])
+        slot = int(t.filled[kind])
         test = self.test(kind, mask)
         t.key[kind, slot] = np.uint64(mask)
         t.dof[kind, slot] = test.dof
@@ -66,7 +66,7 @@ class TableCache:
             t.W[kind, slot] = self._array.least_squares(mask, self._total[kind])
             covariance = self._array.covariance(mask, self._total[kind])
             t.reach[kind, slot] = 1.0 / (self._total[kind] ** 2 + np.sum(self._array.H @ covariance * self._array.H, axis=1))
-        t.count[kind] += 1
+        t.filled[kind] += 1
 
     def test(self, kind: int, mask: int) -> ParityTest:
         """Parity test of the sensors in `mask`."""
@@ -90,7 +90,7 @@ class TableCache:
         n, d = self._array.n, max(1, self._array.n - 3)
         return Tables(
             key=np.zeros((2, slots), np.uint64),
-            count=np.zeros(2, np.int64),
+            filled=np.zeros(2, np.int64),
             dof=np.zeros((2, slots), np.int64),
             W=np.zeros((2, slots, 3, n)),
             whitened=np.zeros((2, slots, d, n)),
@@ -103,7 +103,7 @@ class TableCache:
         old, self.tables = self.tables, self._empty(slots)
         for name in Tables._fields:
             source, target = getattr(old, name), getattr(self.tables, name)
-            if name == "count":
+            if name == "filled":
                 target[:] = source
             else:
                 target[:, : source.shape[1]] = source

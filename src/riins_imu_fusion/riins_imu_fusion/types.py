@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
 from riins_fdi.health import HealthState
 from riins_fdi.parity import Capability
 
@@ -57,7 +58,8 @@ class FusedBlock(NamedTuple):
         return int(self.stamp_ns.size)
 
 
-class FdiEvent(NamedTuple):
+@dataclass(frozen=True)
+class FdiEvent:
     """A change that somebody should hear of."""
 
     stamp_ns: int

@@ -16,13 +16,14 @@ pytest.importorskip("riins_msgs.msg", reason="needs riins_msgs built by colcon a
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import Imu
+
 from riins_core.frames import frd_to_flu
 from riins_core.sensor_errors import normal
 from riins_imu_fusion.node import ImuFusionNode, main
 from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, TriadFdi
 from riins_msgs.srv import SetSensorUse
 from riins_node import convert, fields, qos
-from sensor_msgs.msg import Imu
 
 os.environ["ROS_DOMAIN_ID"] = str(100 + os.getpid() % 80)
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

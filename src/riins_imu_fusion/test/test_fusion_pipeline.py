@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from riins_core.sensor_errors import normal
 from riins_core.settings import SettingError, build
 from riins_fdi.health import HealthConfig, HealthState

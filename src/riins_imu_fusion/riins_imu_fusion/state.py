@@ -1,0 +1,155 @@
+"""The arrays and codes that the fusion kernel and the pipeline share.
+
+Lives here: input, output, rules, tables and memory of the loop as tuples of plain arrays, and the meaning of their elements.
+Does not live here: what is done with them (kernel.py, pipeline.py, tables.py).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_fdi.health import NEVER_NS
+
+F = NDArray[np.float64]
+I = NDArray[np.int64]  # noqa: E741
+U = NDArray[np.uint64]
+B = NDArray[np.bool_]
+
+# why fuse_samples came back
+DONE, EVENT, TICK, RESTART, COMMAND, NEED_TABLE = 0, 1, 2, 4, 8, 16
+# verdicts
+NONE, GOOD, BAD = 0, 1, 2
+# alarms
+QUIET, RESOLVED, UNRESOLVED = 0, 1, 2
+# reasons, as types.Reason
+PARITY, STUCK, NOT_FINITE, SATURATED, INVALID = 1, 2, 3, 4, 5
+# elements of State.clock
+LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
+CLOCK_SIZE = 6
+# elements of State.counts
+RECEIVED, FUSED, LOST, REJECTED_LENGTH, REJECTED_STAMP, REJECTED_NO_SOLUTION, RESTARTS = 0, 1, 2, 3, 4, 5, 6
+COUNTS_SIZE = 7
+
+
+class Block(NamedTuple):
+    """Input: m samples of 2 n sensors."""
+
+    stamp: I
+    sequence: NDArray[np.uint32]
+    gyro: F
+    accel: F
+    gyro_valid: U
+    accel_valid: U
+
+
+class Output(NamedTuple):
+    """Room for m fused samples; leading axis 2: rate, force."""
+
+    stamp: I
+    sequence: NDArray[np.uint32]
+    fused: F  # (2, m, 3)
+    used: U  # (2, m)
+    statistic: F  # (2, m)
+
+
+class Rules(NamedTuple):
+    """What does not change during a run."""
+
+    H: F  # (n, 3)
+    limit: F  # (2,)
+    threshold: F  # (n - 2,), of the GLT by degrees of freedom; [0] is infinite
+    judge_threshold: float  # of one normalized squared residual
+    max_delay: int  # ns
+    lost_limit: int  # a larger jump of the sequence is a new numbering
+    stuck: int  # equal samples; 0: never
+    status_period: int  # ns; 0: no ticks
+    doubt_time: int  # ns
+
+
+class Tables(NamedTuple):
+    """Tests and estimators of the sets of sensors met so far; axes (kind, slot, ...)."""
+
+    key: U  # (2, s), set of sensors as bits
+    filled: I  # (2,), slots in use
+    dof: I  # (2, s), -1: no solution
+    W: F  # (2, s, 3, n)
+    whitened: F  # (2, s, d, n)
+    gain: F  # (2, s, n)
+    isolable: B  # (2, s, n)
+    reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
+
+
+class State(NamedTuple):
+    """All that the loop remembers from sample to sample; axes (kind, sensor)."""
+
+    clock: I
+    counts: I
+    value: F
+    repeat: I
+    base: B  # in use by the health machine
+    judged: B  # out, but on the way back
+    wake: I  # (2, 2, n), stamps from which a passed [0] and a failed [1] test concern the health machine
+    calm: U  # (2,), sensors in use if all of them are healthy and nobody is on the way back; else the empty set
+    mean_sum: F
+    mean_count: I
+    verdict: I
+    why: I  # reason of a failed check or verdict, 0: none
+    wakes: B
+    left_out: I  # (2, n, 8)
+    z: F  # measurements of the last sample, 0 where there is none
+    x: F  # (2, 3)
+    key: U  # (2,), set tested
+    slot: I  # (2,), its table
+    used: U  # (2,), set fused
+    used_slot: I
+    statistic: F  # (2,)
+    alarm: I  # (2,)
+    leave: I  # (2, 2), sensors left out by the parity test, -1: none
+    suspect: I  # (2,)
+    doubt: I  # (2,), 1: doubtful
+    doubt_last: I  # (2,), stamp of the last unresolved alarm
+    need: I  # (1,), kind of the table that is missing
+    need_key: U  # (1,)
+
+
+def fresh_state(n: int) -> State:
+    """State before the first sample of n sensors of each kind."""
+    def whole(*shape: int) -> NDArray[np.int64]:
+        return np.zeros(shape, np.int64)
+
+    clock = whole(CLOCK_SIZE)
+    clock[NEXT_COMMAND] = NEVER_NS
+    clock[SOLUTION] = 1
+    return State(
+        clock=clock,
+        counts=whole(COUNTS_SIZE),
+        value=np.full((2, n), np.nan),
+        repeat=whole(2, n),
+        base=np.ones((2, n), np.bool_),
+        judged=np.zeros((2, n), np.bool_),
+        wake=whole(2, 2, n),
+        calm=np.zeros(2, np.uint64),
+        mean_sum=np.zeros((2, n)),
+        mean_count=whole(2, n),
+        verdict=whole(2, n),
+        why=whole(2, n),
+        wakes=np.zeros((2, n), np.bool_),
+        left_out=whole(2, n, 8),
+        z=np.zeros((2, n)),
+        x=np.zeros((2, 3)),
+        key=np.zeros(2, np.uint64),
+        slot=whole(2),
+        used=np.zeros(2, np.uint64),
+        used_slot=whole(2),
+        statistic=np.full(2, np.nan),
+        alarm=whole(2),
+        leave=np.full((2, 2), -1, np.int64),
+        suspect=np.full(2, -1, np.int64),
+        doubt=whole(2),
+        doubt_last=whole(2),
+        need=whole(1),
+        need_key=np.zeros(1, np.uint64),
+    )
