@@ -80,10 +80,14 @@ def page(
         f"<title>{_text(title)} - RIINS report</title><style>{_STYLE}</style>",
         f"<script>{get_plotlyjs()}</script></head><body><main>",
         f"<div class=top><div><h1>{_text(title)}</h1><p>{_text(description)}</p><p>{_text(facts)}</p></div><div class='badge{kind}'>{word}</div></div>",
-        "<div class=cards>" + "".join(f"<div class=card><b>{_text(v)} <small>{_text(u)}</small></b><span>{_text(w)}</span></div>" for v, u, w in cards) + "</div>",
+        "<div class=cards>"
+        + "".join(f"<div class=card><b>{_text(v)} <small>{_text(u)}</small></b><span>{_text(w)}</span></div>" for v, u, w in cards)
+        + "</div>",
     ]
     if failures:
-        parts.append("<section class=failures><h2>What does not hold</h2><ul>" + "".join(f"<li>{_text(f)}</li>" for f in failures) + "</ul></section>")
+        parts.append(
+            "<section class=failures><h2>What does not hold</h2><ul>" + "".join(f"<li>{_text(f)}</li>" for f in failures) + "</ul></section>"
+        )
     if notes:
         parts.append("<section><h2>To know</h2><ul>" + "".join(f"<li>{_text(n)}</li>" for n in notes) + "</ul></section>")
     parts.append("<nav><a href=#numbers>Numbers</a>" + "".join(f"<a href=#{f.key}>{_text(f.title)}</a>" for f in figures) + "</nav>")
@@ -138,7 +142,9 @@ def _panel(canvas: go.Figure, row: int, panel: Panel, figure: Figure) -> None:
         fill = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip", "legendgroup": band.name}
         canvas.add_trace(go.Scatter(x=band.x, y=band.low, showlegend=False, **fill), row=row, col=1)
         canvas.add_trace(
-            go.Scatter(x=band.x, y=band.high, name=band.name, fill="tonexty", fillcolor=_faint(band.color), showlegend=band.legend, **fill), row=row, col=1
+            go.Scatter(x=band.x, y=band.high, name=band.name, fill="tonexty", fillcolor=_faint(band.color), showlegend=band.legend, **fill),
+            row=row,
+            col=1,
         )
     for trace in panel.traces:
         dots = trace.style in ("dots", "crosses")

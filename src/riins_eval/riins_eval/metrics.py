@@ -10,6 +10,7 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
+
 from riins_core.frames import ned_difference
 from riins_core.ins_error import State
 from riins_core.rotation import dcm_from_euler, log_so3
@@ -231,7 +232,7 @@ def fault_outcome(fault: FaultInterval, faults: list[FaultInterval], health: lis
     if before in gone:
         alarms.append(first_faulty)
     wrong = sorted({c.target for c in during if c.state == ISOLATED and _same_kind(c.target, fault.target) and not _excused(c, faults)})
-    delay = max(0.0, (min(alarms) - first_faulty) * 1e-9) if alarms else None
+    delay = max(0.0, (min(alarms) - first_faulty) / 1e9) if alarms else None
     return FaultOutcome(bool(alarms), delay, isolated, tuple(wrong))
 
 

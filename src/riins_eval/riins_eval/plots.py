@@ -7,12 +7,13 @@ Does not live here: drawing (draw_png.py with matplotlib, draw_html.py with plot
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
-from riins_core.ins_error import State
 
 from riins_core import earth
+from riins_core.ins_error import State
 
 from . import metrics
 from .run_record import SENSOR_STATES, SUBFILTER_STATES, HealthChange, Judged, RunRecord, is_imu_sensor
@@ -115,7 +116,14 @@ def figures(record: RunRecord) -> list[Figure]:
     list of Figure: track, position, velocity, attitude, innovations, health
     """
     clock = _Clock(record)
-    made = [_track(record), _position(record, clock), _velocity(record, clock), _attitude(record, clock), _innovations(record, clock), _health(record, clock)]
+    made = [
+        _track(record),
+        _position(record, clock),
+        _velocity(record, clock),
+        _attitude(record, clock),
+        _innovations(record, clock),
+        _health(record, clock),
+    ]
     return [f for f in made if f is not None]
 
 
@@ -136,7 +144,7 @@ def thin(x: Floats, y: Floats, most: int = MOST_POINTS) -> tuple[Floats, Floats]
         return x, y
     edges = np.linspace(0, m, most // 2 + 1).astype(int)
     keep: list[int] = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         piece = y[a:b]
         if np.isfinite(piece).any():
             low, high = a + int(np.nanargmin(piece)), a + int(np.nanargmax(piece))
@@ -229,7 +237,9 @@ def _track(record: RunRecord) -> Figure | None:
         x, y = plane(lat, lon)
         step = max(1, len(x) // MOST_POINTS + (len(x) > MOST_POINTS))
         near = _plausible(x, y, east, north)
-        panel.traces.append(Trace(x[near][::step] / scale, y[near][::step] / scale, f"{AID_NAMES.get(name, name)} fixes", AID_COLORS.get(name, MUTED), "dots"))
+        panel.traces.append(
+            Trace(x[near][::step] / scale, y[near][::step] / scale, f"{AID_NAMES.get(name, name)} fixes", AID_COLORS.get(name, MUTED), "dots")
+        )
     gaps = np.flatnonzero(np.diff(record.settled.stamp_ns) > 5_000_000_000) + 1
     step = max(1, len(east) // MOST_POINTS + (len(east) > MOST_POINTS))
 
@@ -239,7 +249,9 @@ def _track(record: RunRecord) -> Figure | None:
     if _known(record.truth.lat):
         panel.traces.append(Trace(*path(*plane(record.truth.lat, record.truth.lon)), "truth", INK, width=2.6))
     panel.traces.append(Trace(*path(east, north), "estimate", ESTIMATE, width=1.6))
-    return Figure("track", "Track", "True and estimated track, and the position aids as they reported.", f"east [{unit}]", [panel], equal=True, height=560)
+    return Figure(
+        "track", "Track", "True and estimated track, and the position aids as they reported.", f"east [{unit}]", [panel], equal=True, height=560
+    )
 
 
 def _plausible(x: Floats, y: Floats, east: Floats, north: Floats) -> NDArray[np.bool_]:
@@ -256,7 +268,9 @@ def _position(record: RunRecord, clock: _Clock) -> Figure | None:
         _error_panel(record, clock, "north [m]", error[:, 0], _sigma(record, State.POS_N), True),
         _error_panel(record, clock, "east [m]", error[:, 1], _sigma(record, State.POS_E), False),
     ]
-    horizontal = Panel("horizontal [m]", [Trace(*clock.line(record.settled.stamp_ns, np.hypot(error[:, 0], error[:, 1])), "error", ESTIMATE, legend=False)])
+    horizontal = Panel(
+        "horizontal [m]", [Trace(*clock.line(record.settled.stamp_ns, np.hypot(error[:, 0], error[:, 1])), "error", ESTIMATE, legend=False)]
+    )
     horizontal.shades = clock.shades
     if record.protection_radius is not None and np.isfinite(record.protection_radius).any():
         x, y = clock.line(record.settled.stamp_ns, record.protection_radius)
@@ -265,7 +279,9 @@ def _position(record: RunRecord, clock: _Clock) -> Figure | None:
         x, y = clock.line(record.settled.stamp_ns, metrics.horizontal_distance(record.settled, record.twin))
         horizontal.traces.append(Trace(x, y, "from the fault-free twin", REJECTED))
     panels.append(horizontal)
-    return Figure("position", "Position error", "Computed minus true, with the 3-sigma bounds the filter claims.", clock.label, panels, x_range=clock.x_range)
+    return Figure(
+        "position", "Position error", "Computed minus true, with the 3-sigma bounds the filter claims.", clock.label, panels, x_range=clock.x_range
+    )
 
 
 def _velocity(record: RunRecord, clock: _Clock) -> Figure | None:
@@ -293,11 +309,15 @@ def _attitude(record: RunRecord, clock: _Clock) -> Figure | None:
         _error_panel(record, clock, "tilt about east [arcmin]", phi[:, 1], arcmin(State.PHI_E), False),
         _error_panel(record, clock, "heading [arcmin]", -phi[:, 2], arcmin(State.PHI_D), False),
     ]
-    return Figure("attitude", "Attitude error", "Tilt about north and east, and heading computed minus true.", clock.label, panels, x_range=clock.x_range)
+    return Figure(
+        "attitude", "Attitude error", "Tilt about north and east, and heading computed minus true.", clock.label, panels, x_range=clock.x_range
+    )
 
 
 def _innovations(record: RunRecord, clock: _Clock) -> Figure | None:
-    panels = [_nis_panel(name, judged, clock, not index) for index, (name, judged) in enumerate(sorted(record.judged.items())) if len(judged.stamp_ns)]
+    panels = [
+        _nis_panel(name, judged, clock, not index) for index, (name, judged) in enumerate(sorted(record.judged.items())) if len(judged.stamp_ns)
+    ]
     if not panels:
         return None
     caption = "Normalized innovation squared of each measurement against the threshold of its false-alarm probability; what was not fused is marked."

@@ -6,6 +6,8 @@ Does not live here: files (importers.py), sensor errors and faults (riins_sim).
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -118,7 +120,7 @@ class RecordedMotion:
         return Truth(t, nav[:, 0], nav[:, 1], nav[:, 2], nav[:, 3:6], c_nb, rate_nb, rate, force)
 
     def _densify(self, reference: Floats) -> None:
-        for first, second in zip(reference[:-1], reference[1:], strict=True):
+        for first, second in itertools.pairwise(reference):
             if 0.0 < second[0] - first[0] <= LONGEST_BRIDGE_S:
                 self._bridge(first, second)
 

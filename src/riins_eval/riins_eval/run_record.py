@@ -222,6 +222,7 @@ class RunRecord:
     judged : by subfilter
     health : changes in order of time
     faults : what was injected
+    origin_ns : where times of this run count from; None: the first settled epoch
     scoring_from_ns : epochs before it do not count in RMS, NEES, NIS
     use : which IMU sensors were fused, None when not known
     samples : counters
@@ -245,6 +246,7 @@ class RunRecord:
     judged: dict[str, Judged] = dataclasses.field(default_factory=dict)
     health: list[HealthChange] = dataclasses.field(default_factory=list)
     faults: list[FaultInterval] = dataclasses.field(default_factory=list)
+    origin_ns: int | None = None
     scoring_from_ns: int = 0
     use: SensorUse | None = None
     samples: Samples = dataclasses.field(default_factory=Samples)
@@ -259,8 +261,8 @@ class RunRecord:
 
     @property
     def start_ns(self) -> int:
-        """Stamp of the first settled epoch (0 when there is none)."""
-        return int(self.settled.stamp_ns[0]) if len(self.settled) else 0
+        """Stamp that times are counted from."""
+        return self.origin_ns if self.origin_ns is not None else int(self.settled.stamp_ns[0]) if len(self.settled) else 0
 
     def between(self, start_ns: int, stop_ns: int) -> RunRecord:
         """The part of the run with stamps in [start_ns, stop_ns]; counters and pieces are dropped, they belong to the whole."""
@@ -278,5 +280,5 @@ class RunRecord:
             judged={k: j.take((j.stamp_ns >= start_ns) & (j.stamp_ns <= stop_ns)) for k, j in self.judged.items()},
             health=[c for c in self.health if start_ns <= c.stamp_ns <= stop_ns],
             faults=[f for f in self.faults if f.start_ns <= stop_ns and f.end_ns > start_ns],
-            samples=Samples(), pieces=[], expect={},
+            samples=Samples(), pieces=[], expect={}, origin_ns=start_ns,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import metrics
-from .run_record import HEALTHY, FaultInterval, HealthChange, RunRecord, Track, is_imu_sensor
+from .run_record import HEALTHY, FaultInterval, HealthChange, RunRecord, is_imu_sensor
 
 ARCMIN = 180.0 * 60.0 / math.pi
 Score = dict[str, Any]
@@ -148,7 +148,7 @@ def _numbers(record: RunRecord) -> Score:
     wrong = metrics.false_isolations(record.health, record.faults)
     return {
         "name": record.name,
-        "duration_s": _number((settled.stamp_ns[-1] - settled.stamp_ns[0]) * 1e-9 if len(settled) else None),
+        "duration_s": _seconds(settled.stamp_ns[-1] - settled.stamp_ns[0]) if len(settled) else None,
         "epochs": int(np.isfinite(length).sum()),
         "position_rms_m": _number(metrics.rms(position)),
         "velocity_rms_mps": _number(metrics.rms(velocity)),
@@ -174,7 +174,7 @@ def _fault(record: RunRecord, fault: FaultInterval) -> Score:
     outcome = metrics.fault_outcome(fault, record.faults, record.health, judged)
     return {
         "target": fault.target, "type": fault.type, "size": fault.size_text,
-        "onset_s": _number((fault.start_ns - record.start_ns) * 1e-9), "end_s": _number((fault.end_ns - record.start_ns) * 1e-9),
+        "onset_s": _seconds(fault.start_ns - record.start_ns), "end_s": _seconds(fault.end_ns - record.start_ns),
         "detected": outcome.detected, "delay_s": _number(outcome.delay_s), "isolated_right": outcome.isolated_right,
         "wrongly_isolated": list(outcome.wrong), "epochs_fused": _epochs_fused(record, fault),
     }  # fmt: skip
@@ -222,7 +222,7 @@ def _twin(record: RunRecord) -> float | None:
 
 
 def _change(record: RunRecord, change: HealthChange) -> Score:
-    return {"target": change.target, "time_s": _number((change.stamp_ns - record.start_ns) * 1e-9), "reason": change.reason}
+    return {"target": change.target, "time_s": _seconds(change.stamp_ns - record.start_ns), "reason": change.reason}
 
 
 def _of(faults: list[FaultInterval], name: str) -> list[FaultInterval]:
@@ -283,12 +283,10 @@ def _number(value: Any) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
+def _seconds(ns: Any) -> float:
+    """Nanoseconds in seconds; a division, so that round stamps give round numbers."""
+    return int(ns) / 1e9
+
+
 def _text(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:,.{digits}f}"
-
-
-def empty_track_like(track: Track) -> Track:
-    """A track at the same stamps where nothing is known."""
-    m = len(track)
-    nothing, vectors = np.full(m, np.nan), np.full((m, 3), np.nan)
-    return Track(track.stamp_ns, nothing, nothing.copy(), nothing.copy(), vectors, vectors.copy())

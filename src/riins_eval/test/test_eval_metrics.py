@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3
-from riins_eval.run_record import FaultInterval, HealthChange, Judged, SensorUse, Track
 
+from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3
 from riins_eval import metrics
+from riins_eval.run_record import FaultInterval, HealthChange, Judged, SensorUse, Track
 
 S = 1_000_000_000
 
@@ -53,7 +53,7 @@ def test_attitude_error_has_the_sign_of_the_conventions():
     level = truth.take(np.arange(40))
     level.rph = truth.rph * [0, 0, 1]
     turned = level.take(np.arange(40))
-    turned.rph = level.rph + [0, 0, 2e-3]
+    turned.rph = level.rph + np.array([0, 0, 2e-3])
     assert metrics.heading_error(turned, level) == pytest.approx(2e-3)
     assert -metrics.attitude_error(turned, level)[:, 2] == pytest.approx(2e-3)
 
@@ -78,7 +78,7 @@ def test_nees_is_unknown_where_the_covariance_is_no_covariance():
 def test_nees7_takes_its_block_of_the_full_covariance():
     truth = make_track(6)
     track = truth.take(np.arange(6))
-    track.v_n = truth.v_n + [0.2, 0.0, 9.9]
+    track.v_n = truth.v_n + np.array([0.2, 0.0, 9.9])
     full = np.broadcast_to(np.diag(np.r_[np.full(3, 4.0), np.full(3, 0.01), np.full(9, 1e-8)]), (6, 15, 15))
     assert metrics.nees7(track, truth, full) == pytest.approx(4.0)
     assert metrics.nees7(track, truth, metrics.reduce_covariance(full)) == pytest.approx(4.0)
@@ -126,7 +126,9 @@ def test_sensor_use_counts_samples_of_runs():
     assert use.samples_with("gyro_0", 0, stamps[-1] + 1) == 1000
     assert use.samples_with("accel_1", int(stamps[10]), int(stamps[20])) == 10
     assert use.samples_with("gyro_1", int(stamps[395]), int(stamps[705])) == 10
-    halves = SensorUse.concatenate([SensorUse.from_samples(stamps[:500], gyro[:500], gyro[:500]), SensorUse.from_samples(stamps[500:], gyro[500:], gyro[500:])])
+    halves = SensorUse.concatenate(
+        [SensorUse.from_samples(stamps[:500], gyro[:500], gyro[:500]), SensorUse.from_samples(stamps[500:], gyro[500:], gyro[500:])]
+    )
     assert halves.samples_with("gyro_1", int(stamps[395]), int(stamps[705])) == 10
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from riins_core.rotation import euler_from_dcm
-from riins_sim.scenario import from_yaml
-from riins_sim.trajectory import Trajectory
 
+from riins_core.rotation import euler_from_dcm
 from riins_eval import metrics
 from riins_eval.reference import RecordedMotion
 from riins_eval.run_record import Track
+from riins_sim.scenario import from_yaml
+from riins_sim.trajectory import Trajectory
 
 VOYAGE = """
 name: waves

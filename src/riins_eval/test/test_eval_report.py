@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import re
 
 import numpy as np
 import pytest
-from riins_eval.report import write_report
-from riins_eval.run_record import HealthChange, RunRecord
 from test_eval_metrics import S, make_track
 from test_eval_score import make_record
 
 from riins_eval import plots
+from riins_eval.report import write_report
+from riins_eval.run_record import HealthChange, RunRecord
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_the_timeline_covers_the_run_without_holes(record):
     for row in panel.rows:
         bars = [b for b in panel.bars if b.row == row and b.state != "fault"]
         assert bars[0].start == 0.0 and bars[-1].stop == pytest.approx(399.0)
-        assert all(a.stop == b.start for a, b in zip(bars, bars[1:], strict=False))
+        assert all(a.stop == b.start for a, b in itertools.pairwise(bars))
     assert [b.state for b in panel.bars if b.row == "gyro_2"] == ["healthy", "isolated", "fault"]
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_eval_metrics import S, make_judged, make_track
+
 from riins_eval.run_record import FaultInterval, HealthChange, RunRecord, Samples, SensorUse
 from riins_eval.score import fault_rows, score, table, verdict
-from test_eval_metrics import S, make_judged, make_track
 
 
 def make_record(m: int = 100) -> RunRecord:
@@ -18,7 +19,7 @@ def make_record(m: int = 100) -> RunRecord:
     truth = make_track(m)
     settled = truth.take(np.arange(m))
     settled.lat = truth.lat + 1.0 / 6.3642e6
-    settled.v_n = truth.v_n + [0.0, 0.01, 0.0]
+    settled.v_n = truth.v_n + np.array([0.0, 0.01, 0.0])
     stamps = np.arange(1, 100 * m + 1) * (S // 100)
     gyro = np.full(100 * m, 0x3F, np.uint64)
     gyro[3000:] = 0x3B

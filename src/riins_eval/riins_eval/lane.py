@@ -1,0 +1,204 @@
+"""One pass of fused samples and aids through a navigator, with everything that scoring needs kept as arrays.
+
+Lives here: `Lane` (navigator and what came out), `FusionLog` (what came out of the fusion), what a fault and a change of health are for scoring.
+Does not live here: where the samples come from (offline.py), what is made of the arrays (score.py).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_fdi.health import SUBFILTER_CODE, TRIAD_CODE, HealthState
+from riins_federated.navigator import Navigator
+from riins_federated.types import Aid, FederatedReport, Reason
+from riins_imu_fusion.pipeline import FusionPipeline
+from riins_imu_fusion.types import FdiEvent, FusedBlock
+
+from . import blocks, metrics
+from .run_record import FAULT_TYPES, HEALTHY, FaultInterval, HealthChange, Judged, SensorUse, Stamps, Track
+
+Floats = NDArray[np.float64]
+
+_CHANGE = re.compile(r"(?P<name>\w+): \w+ -> (?P<state>\w+)(?: \((?P<reason>[\w ]+)\))?")
+_NEES = np.array([int(s) for s in metrics.NEES7])
+
+
+class Lane:
+    """A navigator and its results.
+
+    Parameters
+    ----------
+    navigator : fresh
+
+    Attributes
+    ----------
+    solutions, judged, changes : what came out since `take` was last called, for a recorder
+    """
+
+    def __init__(self, navigator: Navigator) -> None:
+        self.navigator = navigator
+        self.solutions: list[Any] = []
+        self.judged: list[Any] = []
+        self.changes: list[tuple[HealthChange, str]] = []
+        self._tracks: list[Track] = []
+        self._covariances: list[Floats] = []
+        self._modes: list[Floats] = []
+        self._judged: dict[str, list[Any]] = {}
+        self.health: list[HealthChange] = []
+
+    def feed(self, aids: list[Aid], block: FusedBlock) -> None:
+        """Give the aids up to the last sample, then the samples, and take out what is settled."""
+        for aid in aids:
+            self.navigator.add_aid(aid)
+        self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force)
+        self.drain()
+
+    def finish(self) -> None:
+        """End of the run: what is left is settled."""
+        self.navigator.finish()
+        self.drain()
+
+    def drain(self) -> None:
+        """Take out what is settled."""
+        self.solutions, self.judged, self.changes = self.navigator.drain_settled(), self.navigator.drain_judged(), []
+        if self.solutions:
+            self._tracks.append(blocks.track_of(self.solutions))
+            self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))
+            self._modes.append(np.array([[int(s.mode), s.protection_radius] for s in self.solutions]))
+        for one in self.judged:
+            self._judged.setdefault(one.name, []).append(one)
+        for event in self.navigator.drain_events():
+            change = _subfilter_change(event.stamp_ns, event.text)
+            if change is not None:
+                self.health.append(change)
+                self.changes.append((change, event.text))
+
+    @property
+    def track(self) -> Track:
+        """Settled states so far."""
+        return join_tracks(self._tracks)
+
+    @property
+    def covariance(self) -> Floats:
+        """(m, 7, 7) of metrics.NEES7."""
+        return np.concatenate(self._covariances) if self._covariances else np.zeros((0, 7, 7))
+
+    @property
+    def mode(self) -> NDArray[np.int64]:
+        """(m,) NavState MODE_*."""
+        return np.concatenate(self._modes)[:, 0].astype(np.int64) if self._modes else np.zeros(0, np.int64)
+
+    @property
+    def protection_radius(self) -> Floats:
+        """(m,), m."""
+        return np.concatenate(self._modes)[:, 1] if self._modes else np.zeros(0)
+
+    @property
+    def judged_arrays(self) -> dict[str, Judged]:
+        """Innovations by subfilter."""
+        return {name: judged_arrays(entries) for name, entries in self._judged.items()}
+
+
+class FusionLog:
+    """What the fusion said: changes of health and which sensors were used."""
+
+    def __init__(self) -> None:
+        self.health: list[HealthChange] = []
+        self._use: list[SensorUse] = []
+
+    def add(self, block: FusedBlock, events: list[FdiEvent]) -> None:
+        """Take a fused block and the events that came with it."""
+        self._use.append(SensorUse.from_samples(block.stamp_ns, block.gyro_used, block.accel_used))
+        for event in events:
+            if event.index >= 0 and event.state is not None:
+                self.health.append(HealthChange(int(event.stamp_ns), f"{event.kind}_{event.index}", TRIAD_CODE[event.state], int(event.reason)))
+            elif event.kind == "stream" and event.text.startswith("restart"):
+                out = {c.target: c for c in self.health}
+                self.health += [HealthChange(int(event.stamp_ns), target, HEALTHY) for target, c in out.items() if c.state not in (HEALTHY, 5)]
+
+    @property
+    def use(self) -> SensorUse:
+        """Runs of samples with the same sensors."""
+        return SensorUse.concatenate(self._use)
+
+
+def join_tracks(tracks: list[Track]) -> Track:
+    """Tracks one after the other."""
+    if not tracks:
+        return Track.empty()
+    return Track(*(np.concatenate([getattr(t, f.name) for t in tracks]) for f in dataclasses.fields(Track)))
+
+
+def judged_arrays(entries: list[Any]) -> Judged:
+    """Arrays of riins_federated Judged entries of one subfilter; shorter innovations are padded with NaN."""
+    width = max(len(e.innovation) for e in entries)
+    columns = {name: np.full((len(entries), width), np.nan) for name in ("innovation", "sigma", "standardized")}
+    for row, entry in enumerate(entries):
+        for name, column in columns.items():
+            value = getattr(entry, name)
+            column[row, : len(value)] = value
+    return Judged(
+        np.array([e.stamp_ns for e in entries], np.int64), columns["innovation"], columns["sigma"], columns["standardized"],
+        np.array([e.nis for e in entries], np.float64), np.array([e.threshold for e in entries], np.float64),
+        np.array([e.accepted for e in entries], bool), np.array([int(e.reason) for e in entries], np.int64),
+    )  # fmt: skip
+
+
+def fault_intervals(faults: Any, start_at_ns: int, stop_ns: int) -> list[FaultInterval]:
+    """riins_sim faults, whose times count from `start_at_ns`, as intervals that end at `stop_ns` at the latest."""
+    return [
+        FaultInterval(
+            f.target, FAULT_TYPES[int(f.type)], start_at_ns + f.start_ns, stop_ns if f.end_ns is None else start_at_ns + f.end_ns, size_text(f)
+        )
+        for f in faults
+    ]
+
+
+def size_text(fault: Any) -> str:
+    """Size of a riins_sim Fault in the unit of the trade."""
+    kind = FAULT_TYPES[int(fault.type)]
+    if kind in ("stuck", "dropout"):
+        return "" if fault.axis == "all" else fault.axis
+    if kind == "scale":
+        return f"{100.0 * fault.size:g} %"
+    word = fault.target.split("_")[0]
+    scale, unit = {"gyro": (3600.0 * 180.0 / np.pi, "deg/h"), "accel": (1e6 / 9.80665, "ug"), "doppler": (1.0, "m/s")}.get(word, (1.0, "m"))
+    if getattr(fault, "angular", False):
+        scale, unit = 180.0 * 60.0 / np.pi, "arcmin"
+    parts = [f"{fault.size * scale:.4g} {unit}"] if fault.size or kind != "ramp" else []
+    parts += [f"{fault.slope * scale:+.4g} {unit} per s"] if kind == "ramp" else []
+    return " ".join(parts + ([fault.axis] if fault.axis != "all" else []))
+
+
+def copy_with_state(report: FederatedReport, change: HealthChange, text: str) -> tuple[FederatedReport, str]:
+    """A report as of a settled change of health, for the recording."""
+    subfilters = tuple(
+        dataclasses.replace(s, state=change.state, since_ns=change.stamp_ns, reason=Reason(change.reason)) if s.name == change.target else s
+        for s in report.subfilters
+    )
+    return dataclasses.replace(report, stamp_ns=change.stamp_ns, subfilters=subfilters), text
+
+
+def warm_up(pipeline: FusionPipeline) -> None:
+    """Compile or load every kernel of a pass, so that its time is not the compiler's."""
+    pipeline.warm_up()
+    Navigator.warm_up()
+
+
+def _subfilter_change(stamp_ns: int, text: str) -> HealthChange | None:
+    found = _CHANGE.fullmatch(text)
+    if found is None:
+        return None
+    state = SUBFILTER_CODE[HealthState[found["state"].upper().replace(" ", "_")]]
+    reason = Reason[found["reason"].upper().replace(" ", "_")] if found["reason"] else Reason.NONE
+    return HealthChange(int(stamp_ns), found["name"], int(state), int(reason))
+
+
+def latest_before(stamps: Stamps, stamp_ns: int) -> int:
+    """Number of stamps that are not after `stamp_ns`."""
+    return int(np.searchsorted(stamps, stamp_ns, side="right"))

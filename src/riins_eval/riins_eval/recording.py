@@ -1,0 +1,194 @@
+"""The bag of an offline run: topics, types and stamps as the live graph has them; log time is the stamp of the header.
+
+Lives here: `RunWriter`.
+Does not live here: bag files (riins_bag), what a message holds (riins_node.fields, blocks.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from riins_bag.bag import BagReader, BagWriter, serialize
+from riins_core.frames import LocalFrame
+from riins_node import fields
+from riins_sim.sensors import PositionBlock, RawBlock, VelocityBlock
+from riins_sim.trajectory import Truth
+
+from . import blocks
+from .run_record import Track
+
+RECORDS = ("none", "nav", "raw", "all")
+"""nav: what the navigator says, aids and truth; raw: what it was given (sensors), and truth; all: both, and the fused samples."""
+
+NAV_STATE, NAV_COVARIANCE, INNOVATION = "riins_msgs/msg/NavState", "riins_msgs/msg/NavCovariance", "riins_msgs/msg/Innovation"
+FEDERATED, INERTIAL, FAULTS, INITIAL = (
+    "riins_msgs/msg/FederatedStatus", "riins_msgs/msg/InertialFdi", "riins_msgs/msg/FaultArray", "riins_msgs/msg/InitialState",
+)  # fmt: skip
+REDUNDANT_IMU, FUSED_IMU = "riins_msgs/msg/RedundantImu", "riins_msgs/msg/FusedImu"
+ODOMETRY, FIX, TWIST = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistWithCovarianceStamped"
+
+RAW_IMU, TWIN_TOPIC, ORACLE_TOPIC = "/rimu/raw", "/evaluation/twin", "/evaluation/oracle"
+
+
+class RunWriter:
+    """Writes one run.
+
+    Parameters
+    ----------
+    path : bag directory to make; it must not exist
+    record : nav, raw or all, see RECORDS
+
+    Raises
+    ------
+    BagError
+        The path exists or cannot be written.
+    """
+
+    def __init__(self, path: str | Path, record: str) -> None:
+        if record not in RECORDS[1:]:
+            raise ValueError(f"record must be one of {', '.join(RECORDS[1:])}, not {record!r}")
+        self._bag = BagWriter(path, flush_period_s=0.0, chunk_bytes=1 << 20)
+        self.nav, self.raw = record in ("nav", "all"), record in ("raw", "all")
+        self.fused = record == "all"
+        self._settled = self._truth = 0
+        self._frame: LocalFrame | None = None
+        self._covariance: tuple[np.ndarray[Any, Any], bytes] | None = None
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._bag.close()
+
+    def configuration(self, text: str, stamp_ns: int) -> None:
+        """Text of /riins/configuration; by habit the first message."""
+        self._bag.write_configuration(text, stamp_ns)
+
+    def initial_state(self, state: Any) -> None:
+        """A riins_federated InitialState, or riins_sim DrawnInitialState with its `source`."""
+        self._bag.write_message("/nav/initial_state", INITIAL, fields.initial_state(state), int(state.stamp_ns))
+
+    def faults(self, stamp_ns: int, faults: Iterable[Any], start_at_ns: int, source: str = "") -> None:
+        """The riins_sim faults of the run, whose times count from `start_at_ns`; `source` tells arrays of several sources apart."""
+        message = fields.fault_array(stamp_ns, faults, start_at_ns)
+        message["header"]["frame_id"] = source
+        self._bag.write_message("/truth/faults", FAULTS, message, stamp_ns)
+
+    def raw_imu(self, stamp_ns: Any, sequence: Any, block: RawBlock) -> None:
+        """Redundant IMU samples with their stamps; `sequence` (m,) uint32."""
+        if self.raw:
+            content = fields.redundant_imu(stamp_ns, sequence, block.gyro, block.accel, block.gyro_valid, block.accel_valid)
+            self._bag.write_block(RAW_IMU, REDUNDANT_IMU, stamp_ns, content)
+
+    def position(self, name: str, stamp_ns: Any, block: PositionBlock, velocity: bool = True) -> None:
+        """Fixes of gps or bds, and the velocity where there is a fix."""
+        content = fields.position_fix(stamp_ns, block.lat, block.lon, block.h, block.covariance, f"{name}_link", fields.SERVICE[name])
+        content["status"]["status"] = np.where(block.has_fix, fields.STATUS_FIX, fields.STATUS_NO_FIX).astype(np.int8)
+        self._bag.write_block(f"/{name}/fix", FIX, stamp_ns, content, qos="aid")
+        good = np.flatnonzero(block.has_fix)
+        if velocity and len(good):
+            content = fields.velocity(stamp_ns[good], block.v_n[good], block.velocity_covariance)
+            self._bag.write_block(f"/{name}/velocity", TWIST, stamp_ns[good], content, qos="aid")
+
+    def log(self, stamp_ns: Any, block: VelocityBlock) -> None:
+        """Measurements of the Doppler log; those without bottom lock are no messages."""
+        good = np.flatnonzero(block.valid)
+        content = fields.doppler(stamp_ns[good], block.v_b[good], block.covariance)
+        self._bag.write_block("/doppler/velocity", TWIST, stamp_ns[good], content, qos="aid")
+
+    def truth(self, stamp_ns: Any, truth: Truth) -> None:
+        """True states; epochs at which it is not known are left out."""
+        known = np.flatnonzero(np.isfinite(truth.lat))
+        track = blocks.track_of_truth(truth, stamp_ns).take(known)
+        self._bag.write_block("/truth/state", NAV_STATE, track.stamp_ns, blocks.nav_states(track, self._truth, rate=truth.rate_nb_b[known]))
+        self._truth += len(known)
+
+    def fused_imu(self, block: Any, pipeline: Any) -> None:
+        """Fused samples (riins_imu_fusion FusedBlock) with the covariance that belongs to the sensors used."""
+        if not (self.fused and len(block)):
+            return
+        rate = _by_mask(block.gyro_used, pipeline.rate_covariance)
+        force = _by_mask(block.accel_used, pipeline.force_covariance)
+        drift = np.zeros(pipeline.n)
+        content = fields.fused_imu(
+            block.stamp_ns,
+            block.sequence,
+            block.rate,
+            block.force,
+            rate,
+            force,
+            block.gyro_used,
+            block.accel_used,
+            gyro_drift=drift,
+            accel_drift=drift,
+        )
+        self._bag.write_block("/imu/fused", FUSED_IMU, block.stamp_ns, content)
+
+    def settled(self, solutions: Sequence[Any], labels: Sequence[str]) -> None:
+        """Settled states with covariance, odometry and fix (riins_federated NavSolution)."""
+        if not (self.nav and solutions):
+            return
+        stamps = np.array([s.stamp_ns for s in solutions], np.int64)
+        if self._frame is None:
+            first = solutions[0]
+            self._frame = LocalFrame(first.lat, first.lon, first.h)
+            self._bag.write_message("/nav/origin", FIX, fields.origin(first.stamp_ns, first.lat, first.lon, first.h), first.stamp_ns)
+        self._bag.write_block("/nav/settled", NAV_STATE, stamps, blocks.solution_states(solutions, self._settled))
+        self._bag.write_block("/nav/odometry", ODOMETRY, stamps, blocks.stack([fields.odometry(s, self._frame) for s in solutions]))
+        self._bag.write_block("/nav/fix", FIX, stamps, blocks.stack([fields.nav_fix(s) for s in solutions]))
+        for solution in solutions:
+            self._bag.write("/nav/covariance", NAV_COVARIANCE, self._covariance_cdr(solution, labels), int(solution.stamp_ns))
+        self._settled += len(solutions)
+
+    def judged(self, judged: Iterable[Any]) -> None:
+        """Innovations (riins_federated Judged)."""
+        if self.nav:
+            for one in judged:
+                self._bag.write_message("/nav/innovations", INNOVATION, fields.innovation(one), int(one.stamp_ns))
+
+    def federated(self, report: Any, text: str = "") -> None:
+        """State of the subfilters (riins_federated FederatedReport)."""
+        if self.nav and report.stamp_ns > 0:
+            self._bag.write_message("/nav/subfilters", FEDERATED, fields.federated_status(report, text), int(report.stamp_ns))
+
+    def inertial(self, message: dict[str, Any], stamp_ns: int) -> None:
+        """State of the redundant IMU, the fields of riins_msgs/InertialFdi."""
+        if self.nav:
+            self._bag.write_message("/fdi/status", INERTIAL, message, stamp_ns)
+
+    def evaluation(self, topic: str, track: Track) -> None:
+        """States of the fault-free twin or of the oracle."""
+        self._bag.write_block(topic, NAV_STATE, track.stamp_ns, blocks.nav_states(track, 0))
+
+    def copy(self, reader: BagReader, topics: Iterable[str], drop: Iterable[str] = ()) -> None:
+        """Copy topics of another bag as they are, but for `drop`."""
+        wanted = [t for t in reader.topics if t in set(topics) and t not in set(drop)]
+        schemas = reader.schemas()
+        for topic in wanted:
+            msgtype = reader.topics[topic].msgtype
+            digest = reader.channels()[topic].metadata.get("topic_type_hash") or None
+            schema = schemas[msgtype]
+            self._bag.add_topic(topic, msgtype, reader.qos(topic) or None, schema=schema.data.decode(), digest=digest, encoding=schema.encoding)
+        for message in reader.messages(wanted):
+            self._bag.write(message.topic, message.msgtype, message.data, message.log_ns)
+
+    def _covariance_cdr(self, solution: Any, labels: Sequence[str]) -> bytes:
+        """CDR of a NavCovariance: all have the same layout, so that only stamp and matrix (the last field) are put into the first one's bytes."""
+        P = np.ascontiguousarray(solution.P, np.float64)
+        if self._covariance is None or self._covariance[0].shape != P.shape:
+            self._covariance = (P, serialize(NAV_COVARIANCE, fields.nav_covariance(solution, labels)))
+        template = self._covariance[1]
+        seconds, nanoseconds = divmod(int(solution.stamp_ns), 1_000_000_000)
+        stamp = np.array([seconds, nanoseconds], "<u4").tobytes()
+        return template[:4] + stamp + template[12 : len(template) - P.nbytes] + P.astype("<f8").tobytes()
+
+
+def _by_mask(masks: Any, covariance: Any) -> Any:
+    """(m, 3, 3) of the covariances that belong to (m,) masks."""
+    kinds, which = np.unique(masks, return_inverse=True)
+    return np.stack([covariance(int(mask)) for mask in kinds])[which]

@@ -1,0 +1,240 @@
+"""A recorded bag navigated again: raw topics through the same fusion and navigator, offline.
+
+Lives here: `navigate`.
+Does not live here: bag files (riins_bag), what a message says (riins_node.readings), the algorithms.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_bag.bag import BagReader
+from riins_federated.error_filter import LABELS
+from riins_federated.navigator import Navigator
+from riins_federated.types import Aid, InitialState
+from riins_imu_fusion.types import FusedBlock
+from riins_node import readings
+
+from . import blocks
+from . import score as scoring
+from .bag_record import read_faults, read_fixes, read_reference, reference_at, run_start
+from .lane import FusionLog, Lane, copy_with_state, fault_intervals, warm_up
+from .offline import RunResult, reporting_pipeline, samples
+from .recording import RAW_IMU, RunWriter
+from .run_configuration import RecordError, RunConfiguration, read_configuration, with_settings
+from .run_record import RunRecord
+
+WINDOW_NS = 10_000_000_000
+AID_TOPICS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "/gps/fix": ("gps", readings.read_position_aid),
+    "/bds/fix": ("bds", readings.read_position_aid),
+    "/doppler/velocity": ("doppler", readings.read_doppler),
+}
+INITIAL_TOPIC = "/nav/initial_state"
+RAW_TOPICS = (RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, "/truth/state", "/truth/odometry", "/truth/faults")
+
+
+class _Window(NamedTuple):
+    """What arrived within a stretch of log time, IMU samples in order of arrival."""
+
+    log_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    gyro: NDArray[np.float64]
+    accel: NDArray[np.float64]
+    gyro_valid: NDArray[np.uint64]
+    accel_valid: NDArray[np.uint64]
+    gyros: NDArray[np.int64]
+    accels: NDArray[np.int64]
+    others: list[tuple[int, Aid | InitialState]]
+
+
+def navigate(
+    bag_in: str | Path,
+    bag_out: str | Path | None = None,
+    record: str = "nav",
+    progress: Callable[[float, float], None] | None = None,
+    overrides: dict[str, Any] | None = None,
+) -> RunResult:
+    """Fuse and navigate from the raw topics of a bag, with the settings that are in it.
+
+    Parameters
+    ----------
+    bag_in : bag with /rimu/raw, aids, /nav/initial_state and /riins/configuration
+    bag_out : directory to write; None: nothing is written. The aids, initial states, truth and faults are copied, so that it can be scored alone
+    record : nav, raw (copies /rimu/raw too) or all, see recording.RECORDS
+    progress : called with (recorded seconds done, seconds in all)
+    overrides : settings that replace the recorded ones: {"navigator": {"gps": {"enabled": False}}}
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    RecordError
+        The bag lacks raw samples, an initial state or its configuration.
+    BagError, SettingError
+    """
+    with BagReader(bag_in) as reader:
+        configuration = read_configuration(reader, overrides)
+        if RAW_IMU not in reader.topics or not reader.topics[RAW_IMU].count:
+            raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
+        if INITIAL_TOPIC not in reader.topics or not reader.topics[INITIAL_TOPIC].count:
+            raise RecordError(f"{bag_in} has no {INITIAL_TOPIC}: the navigator would never start")
+        run = _Run(reader, configuration)
+        if bag_out is None or record == "none":
+            return run.through(None, progress)
+        with RunWriter(bag_out, record) as writer:
+            return run.through(writer, progress)
+
+
+class _Run:
+    """One bag on its way through fusion and navigator."""
+
+    def __init__(self, reader: BagReader, configuration: RunConfiguration) -> None:
+        self.reader, self.configuration = reader, configuration
+        self.pipeline = reporting_pipeline(configuration.fusion)
+        self.lane = Lane(Navigator(configuration.navigator))
+        self.fusion = FusionLog()
+        self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
+        self._newest = -(2**62)
+
+    def through(self, writer: RunWriter | None, progress: Callable[[float, float], None] | None) -> RunResult:
+        """Everything, in windows of about 10 s of log time."""
+        warm_up(self.pipeline)
+        began = time.perf_counter()
+        if writer is not None:
+            writer.configuration(with_settings(self.configuration), self.reader.start_ns)
+            writer.copy(self.reader, RAW_TOPICS, drop=() if writer.raw else (RAW_IMU,))
+        total = self.reader.duration_s
+        for done_ns, window in self._windows():
+            for part in _cut(window, self._max_delay):
+                fused = self._fuse(part)
+                self._feed(part, fused)
+                if writer is None:
+                    self.pipeline.drain_statuses()
+                else:
+                    writer.fused_imu(fused, self.pipeline)
+                    self._write(writer)
+            if progress is not None:
+                progress(min((done_ns - self.reader.start_ns) * 1e-9, total), total)
+        self.lane.finish()
+        if writer is not None:
+            self._write(writer)
+        seconds = time.perf_counter() - began
+        made = self._record(seconds)
+        return RunResult(made, scoring.score(made), seconds)
+
+    def _windows(self) -> Iterator[tuple[int, _Window]]:
+        names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
+        others_from = [t for t in (*AID_TOPICS, INITIAL_TOPIC) if t in self.reader.topics]
+        start = self.reader.start_ns
+        while start <= self.reader.end_ns:
+            stop = start + WINDOW_NS
+            c = self.reader.columns(RAW_IMU, names, start, stop)
+            others = [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
+            yield stop, _Window(
+                c["log_time"], c["header.stamp"].astype(np.int64), c["sequence"].astype(np.uint32), c["gyro"], c["accel"],
+                c["gyro_valid"].astype(np.uint64), c["accel_valid"].astype(np.uint64), c["gyro.count"], c["accel.count"], others,
+            )  # fmt: skip
+            start = stop
+
+    def _fuse(self, part: _Window) -> FusedBlock:
+        """Fuse the samples; those with the wrong number of axes are rejected where they stand."""
+        good = (part.gyros == self.pipeline.n) & (part.accels == self.pipeline.n)
+        if good.all():
+            pieces = [slice(0, len(good))]
+        else:
+            edges = [0, *(np.flatnonzero(np.diff(good)) + 1).tolist(), len(good)]
+            pieces = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        out: list[FusedBlock] = []
+        for piece in pieces:
+            if piece.start < piece.stop and not good[piece.start]:
+                for k in range(piece.start, piece.stop):
+                    self.pipeline.reject_length(int(part.stamp_ns[k]), int(part.sequence[k]), int(part.gyros[k]), int(part.accels[k]))
+                continue
+            n = self.pipeline.n  # columns are as wide as the longest message of the window
+            out.append(self.pipeline.process(
+                part.stamp_ns[piece], part.sequence[piece], part.gyro[piece, :n], part.accel[piece, :n], part.gyro_valid[piece], part.accel_valid[piece]
+            ))  # fmt: skip
+        fused = out[0] if len(out) == 1 else FusedBlock(*(np.concatenate(column) for column in zip(*out, strict=True)))
+        self.fusion.add(fused, self.pipeline.drain_events())
+        return fused
+
+    def _feed(self, part: _Window, fused: FusedBlock) -> None:
+        """Aids before the samples, as the block is one; what had come too late live comes after them, and is late again."""
+        late: list[Aid] = []
+        newest = np.maximum.accumulate(np.maximum(part.stamp_ns, self._newest)) if len(part.stamp_ns) else part.stamp_ns
+        early: list[Aid] = []
+        for log_ns, item in part.others:
+            if isinstance(item, InitialState):
+                self.lane.navigator.set_initial_state(item)
+                continue
+            before = int(np.searchsorted(part.log_ns, log_ns, side="left"))
+            seen = int(newest[before - 1]) if before else self._newest
+            (late if 0 <= seen - item.stamp_ns - self._max_delay < 2**61 else early).append(item)
+        self.lane.feed(early, fused)
+        for aid in late:
+            self.lane.navigator.add_aid(aid)
+        if len(newest):
+            self._newest = int(part.stamp_ns[-1]) if part.stamp_ns[-1] < self._newest - self._max_delay else int(newest[-1])
+
+    def _write(self, writer: RunWriter) -> None:
+        lane = self.lane
+        writer.settled(lane.solutions, LABELS)
+        writer.judged(lane.judged)
+        report = lane.navigator.status()
+        for change, text in lane.changes:
+            writer.federated(*copy_with_state(report, change, text))
+        writer.federated(report)
+        for status in self.pipeline.drain_statuses():
+            writer.inertial(blocks.inertial_fdi(status), int(status.stamp_ns))
+
+    def _record(self, seconds: float) -> RunRecord:
+        lane, reader, configuration = self.lane, self.reader, self.configuration
+        settled = lane.track
+        if not len(settled):
+            raise RecordError(
+                f"{reader.path}: the navigator never started; is the initial state within {configuration.navigator.max_delay_s:g} s of an IMU sample?"
+            )
+        start_ns = run_start(reader, configuration, settled)
+        scenario, recording = configuration.scenario, configuration.recording
+        counters, report = self.pipeline.counters, lane.navigator.status()
+        return RunRecord(
+            scenario.name if scenario else reader.path.name, settled, reference_at(read_reference(reader), settled.stamp_ns),
+            description=scenario.description if scenario else "", covariance=lane.covariance, protection_radius=lane.protection_radius, mode=lane.mode,
+            judged=lane.judged_arrays, health=sorted(self.fusion.health + lane.health, key=lambda c: c.stamp_ns),
+            faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1)), origin_ns=start_ns,
+            scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=self.fusion.use, samples=samples(counters, report),
+            n_sensors=self.pipeline.n, realtime_factor=reader.duration_s / seconds if seconds > 0.0 else None,
+            pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
+            aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
+            expect=dict(scenario.expect) if scenario else {}, notes=list(recording.get("notes", [])),
+        )  # fmt: skip
+
+
+def _take(topic: str, message: Any) -> Aid | InitialState:
+    if topic == INITIAL_TOPIC:
+        return InitialState(**readings.read_initial_state(message))
+    name, read = AID_TOPICS[topic]
+    return Aid(name, **read(message))
+
+
+def _cut(window: _Window, max_delay_ns: int) -> Iterator[_Window]:
+    """A window cut where the IMU stamp jumps: what belongs before the jump must be worked before the run restarts."""
+    jumps = np.flatnonzero(np.abs(np.diff(window.stamp_ns)) > max_delay_ns) + 1
+    edges = [0, *jumps.tolist(), len(window.stamp_ns)]
+    first_log = -(2**62)
+    for number, (a, b) in enumerate(itertools.pairwise(edges)):
+        until = int(window.log_ns[b]) if number < len(edges) - 2 else 2**62
+        others = [(log, item) for log, item in window.others if first_log <= log < until]
+        first_log = until
+        yield _Window(*(column[a:b] for column in window[:-1]), others)
