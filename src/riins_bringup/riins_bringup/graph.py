@@ -18,6 +18,8 @@ from riins_core.settings import SettingError, as_mapping, build, field_types, fl
 
 CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
+IMU_TOPIC = "/rimu/raw"
+LEAD_S = 0.5  # of recorded time before the first IMU sample of a replay
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,10 @@ def replay_graph(settings: GraphSettings) -> Graph:
     from riins_imu_fusion.config import FusionConfig
 
     with BagReader(settings.bag) as bag:
-        text, topics, recorded_s = bag.configuration(), set(bag.topics), bag.duration_s
+        text, topics, begin_ns = bag.configuration(), set(bag.topics), bag.start_ns
+        if IMU_TOPIC not in topics:
+            raise BagError(f"{settings.bag} has no {IMU_TOPIC}: there is nothing to navigate from")
+        first_ns, last_ns = bag.span_ns(IMU_TOPIC)
     recorded = yaml.safe_load(text) if text else None
     if not isinstance(recorded, dict) or not {"fusion", "navigator"} <= set(recorded):
         raise BagError(f"{settings.bag} has no settings to navigate with on /riins/configuration; only the raw topics can be played (riins bag play)")
@@ -235,11 +240,14 @@ def replay_graph(settings: GraphSettings) -> Graph:
     parameters = {
         "path": str(Path(settings.bag).absolute()),
         "rate": settings.rate,
+        # a live recording begins while the nodes still start; what is latched before this is played all the same
+        "start_offset_s": max(0.0, (first_ns - begin_ns) * 1e-9 - LEAD_S),
         "wait_for": [t for t in raw if t.strip("/") in heard],
     }
     moved = tuple((t, f"/{settings.namespace.strip('/')}{t}") for t in raw) if settings.namespace.strip("/") else ()
     publishes = tuple(t.strip("/") for t in raw)
     nodes.append(_spec(settings, "riins_bag", "player", "source", parameters, publishes=publishes, remappings=moved))
+    recorded_s = (last_ns - first_ns) * 1e-9
     duration = min(settings.duration_s, recorded_s) if settings.duration_s > 0.0 else recorded_s
     scoring = (recorded.get("scenario") or {}).get("scoring") or {}
     return Graph(

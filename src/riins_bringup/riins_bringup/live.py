@@ -134,7 +134,7 @@ class LiveRun:
             raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
         needed = time.monotonic() - began
         # the sources need about as long to start as the listeners did; time begins when they are there
-        delay = min(max(3.0, 2.0 * needed), 30.0)
+        delay = min(max(4.0, 2.0 * needed), 20.0)
         if self.graph.wall_stamps:
             self.graph = self.graph.starting_at(time.time_ns() + round(delay * 1e9))
             self.monitor.start_at_ns = self.graph.start_at_ns
@@ -252,7 +252,7 @@ def run_live(graph: Graph, *, console: Console, directory: Path | None = None, r
         }
         summary["nodes"] = {e.name: e.status for e in run.processes.exited()}
     if outcome.dead is not None:
-        console.print(describe(outcome.dead), style="bold red", markup=False, highlight=False)
+        console.print(describe(outcome.dead), style="bold red", markup=False, highlight=False, soft_wrap=True)
     console.print(summary_table(summary))
     if json_file is not None:
         json_file.write_text(json.dumps(summary, indent=2) + "\n")

@@ -104,7 +104,7 @@ class Monitor:
         self._lock = threading.Lock()
         self._nav: NavRow | None = None
         self._last_arrival = 0
-        self._nav_lost = 0
+        self._nav_count = self._nav_lost = 0
         self._latency: list[float] = []
         self._arrivals: dict[str, deque[int]] = {}
         self._received: deque[tuple[int, int]] = deque(maxlen=128)
@@ -144,6 +144,7 @@ class Monitor:
                 self._nav_lost += row.sequence - self._nav.sequence - 1
             if self._wall:
                 self._latency.append((arrival_ns - row.stamp_ns) * 1e-6)
+            self._nav_count += 1
             self._nav, self._last_arrival = row, arrival_ns
             _remember(self._nav_by_stamp, row)
             self._compare(row.stamp_ns)
@@ -226,7 +227,7 @@ class Monitor:
             }
 
     def _samples(self) -> dict[str, int]:
-        return {**self._counts, "nav_states_lost": self._nav_lost}
+        return {**self._counts, "nav_states": self._nav_count, "nav_states_lost": self._nav_lost}
 
     def _latency_figures(self, recent: int = 0) -> dict[str, float]:
         if not self._latency:

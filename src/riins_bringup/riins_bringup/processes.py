@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 from riins_bringup.graph import NodeSpec, write_files
 
-_STOP_SIGNALS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 5.0))
+# SIGABRT makes Python's fault handler print where a node hangs, into its log
+_STOP_SIGNALS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 4.0), (signal.SIGABRT, 2.0), (signal.SIGKILL, 5.0))
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
 
@@ -73,7 +74,7 @@ def node_environment(directory: Path, environment: Mapping[str, str] = os.enviro
     # one thread a process: on two cores nine processes with a BLAS pool each starve one another
     result.setdefault("OMP_NUM_THREADS", "1")
     result.setdefault("OPENBLAS_NUM_THREADS", "1")
-    result["PYTHONUNBUFFERED"] = "1"
+    result["PYTHONUNBUFFERED"] = result["PYTHONFAULTHANDLER"] = "1"
     return result
 
 

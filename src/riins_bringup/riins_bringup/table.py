@@ -135,7 +135,8 @@ def summary_table(summary: dict[str, Any]) -> Table:
             "latency IMU stamp to NavState p50, p99, max", ", ".join(f"{summary['latency_ms'][k]:.1f}" for k in ("p50", "p99", "max")) + " ms"
         )
     samples = summary["samples"]
-    table.add_row("IMU samples received, lost", f"{samples.get('received', 0)}, {_lost(samples)}")
+    table.add_row("IMU samples lost", _lost(samples))
+    table.add_row("navigation states received, lost", f"{samples['nav_states']}, {samples['nav_states_lost']}")
     isolated = [f"{i['target']} at {i['at_s']:.1f} s" for i in summary["isolations"]]
     table.add_row("isolated", ", ".join(isolated) or "none")
     if summary["bag"]:
