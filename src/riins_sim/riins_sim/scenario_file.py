@@ -55,7 +55,7 @@ def parse(text: str, name: str) -> tuple[dict[str, Any], dict[tuple[str, ...], i
         node = loader.get_single_node()
         lines: dict[tuple[str, ...], int] = {}
         if not isinstance(node, yaml.MappingNode):
-            raise ScenarioError(f"{name}:1: a scenario is a mapping of sections, not {'empty' if node is None else node.id}")
+            raise ScenarioError(f"{name}:1: a scenario is a mapping of sections, not {'empty' if node is None else 'a list or a word'}")
         _walk(node, (), lines, name)
         values: dict[str, Any] = loader.construct_document(node)
     except yaml.MarkedYAMLError as error:

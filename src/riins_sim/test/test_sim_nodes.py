@@ -26,6 +26,7 @@ from riins_sim.sensors import DopplerSim, PositionSim, RedundantImuSim  # noqa: 
 
 S = 1_000_000_000
 RATE = 4.0
+PERIOD = 12  # of the outages, s; two seconds each
 FAULTS = [
     {"target": "gyro_2", "type": "ramp", "slope_deg_h_s": 2.0, "start_s": 1.0},
     {"target": "gps", "type": "step", "size_m": 60.0, "start_s": 5.0},
@@ -101,19 +102,20 @@ class Graph:
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
     import yaml
-    from conftest import BASE
+    from sim_voyage import BASE
 
     from riins_sim.scenario import from_yaml
 
-    outages = [{"target": "gps", "start_s": 2.0, "end_s": 4.0}, {"target": "doppler", "start_s": 2.0, "end_s": 4.0}]
-    scenario = from_yaml(yaml.safe_dump({**BASE, "duration_s": 200.0, "faults": FAULTS, "outages": outages}))
+    outages = [{"target": name, "start_s": t, "end_s": t + 2.0} for name in ("gps", "doppler") for t in np.arange(2.0, 400.0, PERIOD).tolist()]
+    scenario = from_yaml(yaml.safe_dump({**BASE, "duration_s": 400.0, "faults": FAULTS, "outages": outages}))
     with domain_id() as domain:
         made = Graph(scenario, tmp_path_factory.mktemp("nodes"), int(domain))
         try:
             made.rimu = made.start("rimu")
             for name in ("gps", "doppler", "truth"):
                 made.start(name)
-            made.until(lambda: all(made.got[topic] for topic in TOPICS) and len(made.got["gps/fix"]) >= 8)
+            # a whole period of outages, wherever it begins: on a busy machine the nodes may be late
+            made.until(lambda: all(made.got.values()) and len(made.got["gps/fix"]) >= PERIOD and len(made.got["doppler/velocity"]) >= PERIOD, 60.0)
             yield made
         finally:
             made.close()
@@ -135,7 +137,6 @@ def _check_imu(graph, received):
 def test_imu_is_the_scenarios_and_a_restarted_node_goes_on_with_the_same_noise(graph):
     graph.until(lambda: len(graph.got["rimu/raw"]) > 600)
     first = _check_imu(graph, graph.got["rimu/raw"])
-    assert first[0] == 1
     assert graph.got["rimu/raw"][0].header.frame_id == "imu_link"
     graph.rimu.send_signal(signal.SIGINT)
     assert graph.rimu.wait(10) == 0
@@ -149,27 +150,29 @@ def test_imu_is_the_scenarios_and_a_restarted_node_goes_on_with_the_same_noise(g
 
 def test_gps_is_the_scenarios_and_an_outage_is_no_fix(graph):
     fixes = graph.got["gps/fix"]
-    block = PositionSim(graph.scenario, "gps").block(1, len(fixes), graph.scenario.fault_schedule())
+    first = round((to_ns(fixes[0].header.stamp) - graph.start_at_ns) / S)
+    block = PositionSim(graph.scenario, "gps").block(first, len(fixes), graph.scenario.fault_schedule())
+    assert not np.all(block.has_fix)
     for i, message in enumerate(fixes):
         reading = read_position_aid(message)
         assert message.header.frame_id == "gps_link" and message.status.service == 1
-        assert reading["stamp_ns"] == graph.start_at_ns + (i + 1) * S
-        assert reading["ok"] == block.has_fix[i] == (i + 1 not in (2, 3))
+        assert reading["stamp_ns"] == graph.start_at_ns + (first + i) * S
+        assert reading["ok"] == block.has_fix[i] == ((first + i) % PERIOD not in (2, 3))
         if reading["ok"]:
             # degrees in the message: one rounding of 1e-16 relative each way
             assert reading["z"] == pytest.approx([block.lat[i], block.lon[i], block.h[i]], rel=1e-15)
             assert np.diag(reading["R"]) == pytest.approx([5.0, 10.0, 16.0])
         else:
             assert np.all(np.isnan(reading["z"]))
-    stamps = [to_ns(m.header.stamp) - graph.start_at_ns for m in graph.got["gps/velocity"]]
-    assert 2 * S not in stamps and 3 * S not in stamps and S in stamps
+    moving = [(to_ns(m.header.stamp) - graph.start_at_ns) // S % PERIOD for m in graph.got["gps/velocity"]]
+    assert moving and not {2, 3} & set(moving)
 
 
 def test_log_is_the_scenarios_and_an_outage_is_silence(graph):
     log = DopplerSim(graph.scenario)
     readings = [read_doppler(m) for m in graph.got["doppler/velocity"]]
     numbers = [round((r["stamp_ns"] - graph.start_at_ns) / S) for r in readings]
-    assert numbers[:2] == [1, 4] and numbers == sorted(numbers)
+    assert [n for n in range(numbers[0], numbers[-1] + 1) if n % PERIOD not in (2, 3)] == numbers
     for number, reading in zip(numbers, readings, strict=True):
         block = log.block(number, 1)
         assert np.array_equal(reading["z"], block.v_b[0]) and reading["R"] == pytest.approx(block.covariance)

@@ -43,17 +43,19 @@ class SimNode(Node):
     name : of the node
     targets : what the faults of this node may be put on: "gyro", "accel" or the name of an aid; empty: no fault services
     frame_id : of its messages
-    settings_class : SimSettings or a subclass
     """
 
-    def __init__(self, name: str, targets: Sequence[str] = (), frame_id: str = "", settings_class: type[SimSettings] = SimSettings) -> None:
+    def __init__(self, name: str, targets: Sequence[str] = (), frame_id: str = "") -> None:
         super().__init__(name)
-        self.settings = declare(self, settings_class)
+        self.settings = self._declare()
         self.scenario = scenarios.load(self.settings.scenario).with_seed(self.settings.seed)
         self.frame_id = frame_id
         self.faults = self.scenario.fault_schedule().only(targets)
         self._targets = targets
         self._streams: list[Stream] = []
+
+    def _declare(self) -> SimSettings:
+        return declare(self, SimSettings)
 
     def begin(self) -> None:
         """Start the clock and the fault services; call it when everything slow (trajectory, compilation) is done."""
