@@ -29,6 +29,7 @@ from riins_bringup.table import change_line, live_table, plain_line, summary_tab
 from riins_bringup.watch import Watcher
 
 READY_TIMEOUT_S = 180.0  # cold kernels compile in the nodes' on_configure
+MATCHING_S = 1.0  # that we see two endpoints does not mean that they have seen each other; a player's first message must not be lost
 _QUIET_S = 1.5  # no navigation state for this long at the end: all is settled
 _STALLED_S = 60.0
 _PLAIN_PERIOD_S = 5.0
@@ -94,6 +95,7 @@ class LiveRun:
         )
         self.monitor = Monitor(0, graph.wall_stamps, graph.rate, graph.score_from_s)
         self._watcher: Watcher | None = None
+        self._began = math.inf
 
     def __enter__(self) -> LiveRun:
         return self
@@ -153,10 +155,19 @@ class LiveRun:
         for player in players:
             self._transition(player, "configure", alive)
         self._all_there(alive)
+        if players:
+            self._pause(MATCHING_S, alive)
         for player in players:
             self._transition(player, "activate", alive)
+        self._began = time.monotonic()
         if self.graph.wall_stamps and time.time_ns() > self.graph.start_at_ns:
             self.say("the sensors started late: first samples may be missing (counted as lost)")
+
+    def _pause(self, seconds: float, alive: Callable[[], None]) -> None:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            alive()
+            time.sleep(0.05)
 
     def _transition(self, spec: NodeSpec, label: str, alive: Callable[[], None]) -> None:
         assert self._watcher is not None
@@ -183,13 +194,14 @@ class LiveRun:
         """True when the sources may be at their end."""
         if self.graph.wall_stamps:
             return time.time_ns() * 1e-9 > self.graph.start_at_ns * 1e-9 + self.graph.duration_s / self.graph.rate - 1.0
-        return self.monitor.newest_ns > 0
+        return True  # a player ends with status 0 at the end of its bag
 
     def finished(self) -> bool:
         """True when the run's time is over and what was under way has arrived."""
         monitor = self.monitor
         if monitor.newest_ns == 0:
-            return not self.graph.wall_stamps and self._sources_ended()
+            quiet = time.monotonic() - self._began > _QUIET_S  # a short bag: what it gave may still be on its way
+            return not self.graph.wall_stamps and quiet and self._sources_ended()
         reached = (monitor.newest_ns - monitor.start_at_ns) * 1e-9
         if not self.graph.wall_stamps and reached >= self.graph.duration_s:
             return True
