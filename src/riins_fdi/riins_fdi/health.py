@@ -57,6 +57,7 @@ class HealthConfig:
     isolate_count: int = setting(3, "failed tests that isolate; passed ones in between do not erase them until cleared", "", 1, 1_000_000)
     isolate_s: float = setting(0.0, "isolated only when the failed tests also span this long", "s", 0.0, 1e6)
     clear_count: int = setting(3, "passed tests in a row that clear a suspect", "", 1, 1_000_000)
+    clear_s: float = setting(0.0, "and that reach at least this long beyond its last failed one", "s", 0.0, 1e6)
     hold_s: float = setting(5.0, "isolated at least this long before probation may begin", "s", 0.0, 1e6)
     hold_after_failure: bool = setting(False, "count the hold from the last failed test instead of from the isolation")
     hold_growth: float = setting(2.0, "each relapse from probation makes the hold this much longer: no flapping", "", 1.0, 100.0)
@@ -101,7 +102,8 @@ class HealthMachine:
     -----
     HEALTHY -> SUSPECT at the first failed test -> ISOLATED after `isolate_count` of them that span `isolate_s` -> PROBATION at the first
     passed test after the hold -> HEALTHY after `probation_count` passed tests in a row that span `probation_s`; a failed one goes back to
-    ISOLATED with a longer hold. A suspect's failed tests are forgotten after `clear_count` passed ones in a row (hysteresis).
+    ISOLATED with a longer hold. A suspect's failed tests are forgotten after `clear_count` passed ones in a row that reach `clear_s` beyond
+    the last failed one (hysteresis: failures scattered among passes add up).
     EXCLUDED is left by `restore` alone, through PROBATION.
     The machine is pure: the same steps give the same states, and `snapshot`/`restore_snapshot` take it back to any earlier moment.
     """
@@ -207,7 +209,7 @@ class HealthMachine:
     def wakes_at_ns(self) -> tuple[int, int]:
         """Earliest stamps at which a passed and a failed test can change the machine.
 
-        A kernel need not call `step` before: it would do nothing but count. True for machines with `probation_count` = 1.
+        A kernel need not call `step` before: it would do nothing but count. Asks for `probation_count` = 1.
         """
         m, config = self._m, self._config
         if m.state is HealthState.EXCLUDED:
@@ -220,6 +222,8 @@ class HealthMachine:
             return (ALWAYS_NS if m.first_ns == NEVER_NS else m.first_ns + _ns(config.probation_s)), ALWAYS_NS
         if m.state is HealthState.HEALTHY or (m.state is HealthState.COMPENSATED and m.bad_count == 0):
             return NEVER_NS, ALWAYS_NS
+        if m.state in (HealthState.SUSPECT, HealthState.COMPENSATED) and config.clear_count == 1:
+            return m.last_bad_ns + _ns(config.clear_s), ALWAYS_NS
         return ALWAYS_NS, ALWAYS_NS
 
     def snapshot(self) -> tuple[object, ...]:
@@ -238,7 +242,7 @@ class HealthMachine:
             if m.bad_count == 0:
                 return None
             self._m = m = m._replace(good_count=m.good_count + 1)
-            if m.good_count < config.clear_count:
+            if m.good_count < config.clear_count or stamp_ns - m.last_bad_ns < _ns(config.clear_s):
                 return None
             if m.state is HealthState.COMPENSATED:
                 self._m = m._replace(bad_count=0, good_count=0)

@@ -21,6 +21,8 @@ S = 1_000_000_000
 BAD, OPERATOR, RECOVERED = 1, 6, 7
 CONFIG = HealthConfig(isolate_count=3, clear_count=2, hold_s=5.0, probation_s=4.0, hold_growth=2.0, hold_max_s=15.0)
 
+LEAKY = HealthConfig(isolate_count=3, clear_count=1, clear_s=6.0, hold_s=5.0, probation_s=4.0)
+
 
 def isolated(config: HealthConfig = CONFIG, at: int = 100) -> HealthMachine:
     machine = HealthMachine(config, RECOVERED)
@@ -55,6 +57,16 @@ def test_hysteresis_a_single_good_does_not_clear() -> None:
     for k, good in enumerate([False, True, True, False, False]):
         machine.step(k * S, good, BAD)
     assert machine.state is HealthState.SUSPECT
+
+
+def test_scattered_failures_add_up_until_clear_s_has_passed() -> None:
+    told = []
+    for failures in ((0, 5, 11), (0, 5, 12)):
+        machine = HealthMachine(LEAKY)
+        changes = [machine.step(t * S, t not in failures, BAD) for t in range(13)]
+        told.append([(c.state.name, c.stamp_ns // S) for c in changes if c])
+    assert told[0] == [("SUSPECT", 0), ("ISOLATED", 11)]  # passed tests reach five seconds beyond the second failure
+    assert told[1] == [("SUSPECT", 0), ("HEALTHY", 11), ("SUSPECT", 12)]  # six
 
 
 def test_failed_tests_must_span_isolate_s() -> None:
@@ -168,10 +180,10 @@ def test_settings_are_checked() -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), max_size=120))
-def test_steps_before_the_wake_may_be_left_out(steps: list[tuple[bool, int]]) -> None:
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), max_size=120), st.sampled_from([CONFIG, LEAKY]))
+def test_steps_before_the_wake_may_be_left_out(steps: list[tuple[bool, int]], config: HealthConfig) -> None:
     """What a kernel relies on: a step that `wakes_at_ns` rules out changes nothing that can be seen, now or later."""
-    every, woken, now = HealthMachine(CONFIG, RECOVERED), HealthMachine(CONFIG, RECOVERED), 0
+    every, woken, now = HealthMachine(config, RECOVERED), HealthMachine(config, RECOVERED), 0
     for good, gap in steps:
         now += gap * S
         change = every.step(now, good, BAD)

@@ -23,6 +23,14 @@ KINDS = ("gyro", "accel")
 
 
 @dataclass(frozen=True)
+class SensorHealth(HealthConfig):
+    """Health settings of a sensor: at 8 sigma a slow fault fails one test now and then; three within seconds are no accident."""
+
+    clear_count: int = setting(1, "passed tests in a row that clear a suspect", "", 1, 1_000_000)
+    clear_s: float = setting(2.0, "and that reach at least this long beyond its last failed one", "s", 0.0, 1e6)
+
+
+@dataclass(frozen=True)
 class FusionConfig:
     """Everything the fusion needs to know before it starts. Default noise of one sensor: sqrt 2 times that of the ship paper's fused triad."""
 
@@ -35,7 +43,7 @@ class FusionConfig:
     accel_bias_sigma: float = setting(0.0, "ordinary turn-on bias of an accelerometer, which must not alarm", "m/s^2", 0.0, 100.0)
     mean_time_between_false_alarms_h: float = setting(10.0, "of each triad, with one test a sample", "h", 1e-6, 1e9)
     false_alarm_probability: float = setting(0.0, "probability per sample and triad; 0: from the mean time between false alarms", "", 0.0, 0.5)
-    health: HealthConfig = section(HealthConfig, "isolation, hold and probation of a sensor")
+    health: SensorHealth = section(SensorHealth, "isolation, hold and probation of a sensor")
     probation_mean_limit: float = setting(1.0, "mean residual over the probation that prevents a return, in sigma of one residual", "", 0.01, 100.0)
     stuck_count: int = setting(10, "samples with one and the same value after which a sensor is taken as stuck; 0: never", "", 0, 1_000_000)
     gyro_limit: float = setting(0.0, "range of a gyro: at or beyond it the value is saturated; 0: none", "rad/s", 0.0, 1e4)

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from riins_core.sensor_errors import normal
 from riins_core.settings import SettingError, build
-from riins_fdi.health import HealthConfig, HealthState
+from riins_fdi.health import HealthState
 from riins_fdi.parity import Capability
-from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.config import FusionConfig, SensorHealth
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.types import Counters, FdiStatus, FusedBlock, Reason
 
 DT = 10_000_000
 ALL = 0b111111
-SHORT = HealthConfig(isolate_count=3, clear_count=3, hold_s=0.5, probation_s=1.0)
+SHORT = SensorHealth(isolate_count=3, clear_s=0.05, hold_s=0.5, probation_s=1.0)
 CONFIG = FusionConfig(health=SHORT, status_period_s=0.1)
 RATE, FORCE = np.array([1e-3, -2e-3, 5e-4]), np.array([0.2, -0.1, -9.8])
 
@@ -99,6 +99,19 @@ def test_a_lying_sensor_leaves_at_once_and_returns_after_probation(kind: str) ->
     assert np.flatnonzero(~used)[-1] == 600 and used[601:].all()
     other = block.accel_used if kind == "gyro" else block.gyro_used
     assert np.all(other == ALL)
+
+
+def test_a_slow_ramp_isolates_once_without_flapping() -> None:
+    """The ramp of the harbour voyage in sigma: it crosses the threshold now and then, long before it stays above."""
+    config = FusionConfig()
+    for seed in range(5):
+        feed, pipeline = Feed(2000, config, seed), FusionPipeline(config)
+        feed.gyro[:, 2] += 16.0 * feed.sigma[0, 0] * np.arange(2000) / 2000
+        feed.into(pipeline)
+        events = pipeline.drain_events()
+        first = next(i for i, e in enumerate(events) if e.state is HealthState.ISOLATED)
+        assert events[first].index == 2 and 500 < events[first].stamp_ns // DT < 1200 and first <= 4
+        assert {e.index for e in events if e.state is HealthState.ISOLATED} == {2}
 
 
 def test_probation_fails_when_the_fault_comes_back_and_the_hold_grows() -> None:
