@@ -49,7 +49,7 @@ def chunk_ends(whole: bytes, tmp_path_factory: pytest.TempPathFactory) -> list[t
 def test_missing_foreign_and_empty(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no bag at"):
         BagReader(tmp_path / "nothing")
-    with pytest.raises(BagError, match="no .mcap file in it"):
+    with pytest.raises(BagError, match=r"no .mcap file in it"):
         BagReader(tmp_path)
     text = tmp_path / "notes.mcap"
     text.write_text("this is not a recording at all")
@@ -62,7 +62,7 @@ def test_missing_foreign_and_empty(tmp_path: Path) -> None:
         BagReader(tmp_path / "old")
     lacking = make_bag(tmp_path / "lacking", 10)
     (lacking / "lacking_0.mcap").unlink()
-    with pytest.raises(BagError, match="lacking_0.mcap"):
+    with pytest.raises(BagError, match=r"lacking_0.mcap"):
         BagReader(lacking)
 
 
@@ -88,7 +88,7 @@ def test_a_cut_bag_says_recover_and_gives_back_every_complete_chunk(
         BagReader(bag)
     expected = max([samples for end, samples in chunk_ends if end <= size], default=0)
     if not expected:
-        with pytest.raises(BagError, match="nothing can be recovered|not an MCAP"):
+        with pytest.raises(BagError, match=r"nothing can be recovered|not an MCAP"):
             recover(bag)
         assert not (folder / "bag_recovered").exists()
         return
@@ -181,7 +181,7 @@ def test_a_full_disk_is_one_clear_error(tmp_path: Path, monkeypatch: pytest.Monk
         flush = bag._stream.flush
 
     monkeypatch.setattr(bag._writer, "stream", Full())
-    with pytest.raises(BagError, match="No space left on device.*riins bag recover"):
+    with pytest.raises(BagError, match=r"No space left on device.*riins bag recover"):
         fill_bag(bag, 300)
     assert recover(tmp_path / "bag").counts["/rimu/raw"] > 250
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -82,9 +83,9 @@ def test_windows_cover_everything_once(tmp_path: Path) -> None:
     with BagReader(make_bag(tmp_path / "bag", 1000)) as bag:
         whole = list(bag.messages())
         edges = [EPOCH_NS + DT_NS * k for k in (0, 1, 137, 138, 600, 1001)]
-        parts = [message for a, b in zip(edges, edges[1:], strict=False) for message in bag.messages(start_ns=a, stop_ns=b)]
+        parts = [message for a, b in itertools.pairwise(edges) for message in bag.messages(start_ns=a, stop_ns=b)]
         assert parts == whole and len(whole) == 1000 + 10 + 30 + 1
-        pieces = [bag.columns("/rimu/raw", ["sequence"], a, b)["sequence"] for a, b in zip(edges, edges[1:], strict=False)]
+        pieces = [bag.columns("/rimu/raw", ["sequence"], a, b)["sequence"] for a, b in itertools.pairwise(edges)]
         assert [len(piece) for piece in pieces] == [0, 136, 1, 462, 401]
         np.testing.assert_array_equal(np.concatenate(pieces), np.arange(1, 1001))
         empty = bag.columns("/rimu/raw", None, 5, 6)
