@@ -26,7 +26,15 @@ VENV, BUILD, INSTALL, SRC, LOG = (ROOT / name for name in (".venv", "build", "in
 SUPPORTED = ((3, 11), (3, 12))
 CMAKE = (3, 21)
 DISK_MB = 2500
-FOREIGN = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+FOREIGN = (
+    "PYTHONPATH",
+    "PYTHONHOME",
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "COLCON_PREFIX_PATH",
+    "LD_LIBRARY_PATH",
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+)
 
 
 class SetupError(Exception):
@@ -37,16 +45,20 @@ def check_python() -> None:
     """The running Python must be one the lock files were made for, with its headers."""
     if sys.version_info[:2] not in SUPPORTED:
         have = ".".join(map(str, sys.version_info[:2]))
-        raise SetupError(f"RIINS needs Python 3.11 or 3.12, this is {have}: install one (apt install python3) or name it with PYTHON=/path/to/python3 make ...")
+        raise SetupError(
+            f"RIINS needs Python 3.11 or 3.12, this is {have}: install one (apt install python3) or name it with PYTHON=/path/to/python3 make ..."
+        )
     include = Path(sysconfig.get_paths()["include"])
     if not (include / "Python.h").is_file():
         version = f"python{sys.version_info[0]}.{sys.version_info[1]}"
-        raise SetupError(f"the headers of {sys.executable} are missing ({include}/Python.h): install them (Debian, Ubuntu: apt install {version}-dev)")
+        raise SetupError(
+            f"the headers of {sys.executable} are missing ({include}/Python.h): install them (Debian, Ubuntu: apt install {version}-dev)"
+        )
 
 
 def check_tools() -> None:
     """Compilers that work with these headers, cmake and disk space; asked only when something has to be compiled."""
-    source = '#include <Python.h>\n#include <cstdint>\nint main() { return 0; }\n'
+    source = "#include <Python.h>\n#include <cstdint>\nint main() { return 0; }\n"
     include = sysconfig.get_paths()["include"]
     for names, variable, language in ((("cc", "gcc", "clang"), "CC", "C"), (("c++", "g++", "clang++"), "CXX", "C++")):
         compiler = next((found for name in (os.environ.get(variable, ""), *names) if name and (found := shutil.which(name.split()[0]))), None)
@@ -55,7 +67,9 @@ def check_tools() -> None:
     tried = subprocess.run([compiler, "-x", "c++", "-fsyntax-only", "-I", include, "-"], input=source, text=True, capture_output=True, check=False)
     if tried.returncode:
         said = next((line for line in tried.stderr.splitlines() if "error" in line), f"exit status {tried.returncode}")
-        raise SetupError(f"the compiler {compiler} cannot compile a one-line program ({said}): repair it (Debian, Ubuntu: apt install --reinstall build-essential)")
+        raise SetupError(
+            f"the compiler {compiler} cannot compile a one-line program ({said}): repair it (Debian, Ubuntu: apt install --reinstall build-essential)"
+        )
     cure = f"install cmake {CMAKE[0]}.{CMAKE[1]} or newer (Debian, Ubuntu: apt install cmake) and run make again"
     if shutil.which("cmake") is None:
         raise SetupError(f"cmake was not found: {cure}")
@@ -96,10 +110,23 @@ def make_environment() -> bool:
             raise SetupError(
                 f"{sys.executable} cannot make a virtual environment ({_last_line(log)}): install its venv module (Debian, Ubuntu: apt install python{version}-venv)"
             )
-        pip = [str(VENV / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", "--no-input", "--require-hashes", "-r", str(lock)]
+        pip = [
+            str(VENV / "bin" / "python"),
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            "--disable-pip-version-check",
+            "--no-input",
+            "--require-hashes",
+            "-r",
+            str(lock),
+        ]
         if not _logged(pip, log):
             shutil.rmtree(VENV, ignore_errors=True)
-            raise SetupError(f"the Python packages could not be installed ({_last_line(log)}): check the network or the proxy and run make again; the whole story is in {_short(log)}")
+            raise SetupError(
+                f"the Python packages could not be installed ({_last_line(log)}): check the network or the proxy and run make again; the whole story is in {_short(log)}"
+            )
     stamp_file.write_text(f"{ROOT} {version} {_lock_digest(version)}")
     say(f".venv is ready ({time.monotonic() - started:.0f} s)")
     return True
@@ -154,7 +181,9 @@ def warm_up() -> None:
     started = time.monotonic()
     say("compiling the kernels into their cache (a minute or two the first time)")
     if not _logged([str(ROOT / "riins"), "exec", "python", str(ROOT / "tools" / "warm_up.py")], LOG / "warm_up.txt"):
-        raise SetupError(f"the kernels could not be compiled ({_last_line(LOG / 'warm_up.txt')}): the whole story is in {_short(LOG / 'warm_up.txt')}")
+        raise SetupError(
+            f"the kernels could not be compiled ({_last_line(LOG / 'warm_up.txt')}): the whole story is in {_short(LOG / 'warm_up.txt')}"
+        )
     stamp_file.write_text(stamp)
     say(f"kernels are compiled ({time.monotonic() - started:.0f} s)")
 
@@ -225,7 +254,10 @@ def _logged(command: Sequence[str], log: Path, env: dict[str, str] | None = None
         stream.write(f"$ {' '.join(command)}\n")
         stream.flush()
         try:
-            return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, env=env, check=False).returncode == 0
+            return (
+                subprocess.run(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, env=env, check=False).returncode
+                == 0
+            )
         except OSError as error:
             stream.write(f"{error}\n")
             return False

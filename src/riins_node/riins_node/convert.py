@@ -29,7 +29,18 @@ from riins_node.readings import (
 )
 
 M = TypeVar("M")
-_TYPECODES = {"double": "d", "float": "f", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q"}
+_TYPECODES = {
+    "double": "d",
+    "float": "f",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+}
 _ARRAY = re.compile(r"(?P<item>.+)\[(?P<length>\d+)\]")
 _SEQUENCE = re.compile(r"sequence<(?P<item>[^,]+)(, \d+)?>")
 Maker = Callable[[Any], Any]
@@ -62,7 +73,7 @@ def fill(msg_class: type[M], fields: Mapping[str, Any]) -> M:
     -----
     Values are turned into exactly the type the field has: rclpy checks nothing here, and would read a whole number put into a float64 as rubbish.
     """
-    plan = _plan(msg_class)
+    plan: dict[str, Maker] = _plan(msg_class)  # type: ignore[arg-type]
     if not fields.keys() <= plan.keys():
         raise ValueError(f"{msg_class.__name__} has no field {', '.join(sorted(fields.keys() - plan.keys()))}")
     return msg_class(**{name: plan[name](value) for name, value in fields.items()})

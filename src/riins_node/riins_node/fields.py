@@ -218,9 +218,7 @@ def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
     }
 
 
-def position_fix(
-    stamp_ns: Any, lat: Any, lon: Any, h: Any, covariance: ArrayLike, frame_id: str, service: int = 0, has_fix: bool = True
-) -> Fields:
+def position_fix(stamp_ns: Any, lat: Any, lon: Any, h: Any, covariance: ArrayLike, frame_id: str, service: int = 0, has_fix: bool = True) -> Fields:
     """sensor_msgs/NavSatFix.
 
     Parameters

@@ -142,8 +142,8 @@ def read_nav_state(msg: Any) -> dict[str, Any]:
 
     Returns
     -------
-    dict with stamp_ns, sequence, mode, validity (3,), lat, lon [rad], h [m], v_n (3,), rph (3,), rate_b (3,), bias_g (3,), bias_a (3,), sigma_position (3,),
-    sigma_velocity (3,), sigma_rph (3,), protection_radius, reset_count, reset (3,)
+    dict with stamp_ns, sequence, mode, validity (3,), lat, lon [rad], h [m], v_n (3,), rph (3,), rate_b (3,), bias_g (3,), bias_a (3,),
+    sigma_position (3,), sigma_velocity (3,), sigma_rph (3,), protection_radius, reset_count, reset (3,)
     """
 
     def triple(stem: str, suffixes: str) -> Array:

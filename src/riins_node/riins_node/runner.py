@@ -47,7 +47,8 @@ class AutostartLifecycleNode(LifecycleNode):
             )
         except rclpy.exceptions.InvalidParameterTypeException:
             raise ParameterError(f'parameter "autostart" must be true or false, not {self._parameter_overrides["autostart"].value!r}') from None
-        self._callbacks = {state: self._guarded(callback) for state, callback in self._callbacks.items()}
+        for state, callback in list(self._callbacks.items()):
+            self._callbacks[state] = self._guarded(callback)
 
     @property
     def active(self) -> bool:

@@ -58,6 +58,13 @@ def solution(**changes: Any) -> Any:
     return SimpleNamespace(**{**values, **changes})
 
 
+def initial() -> Any:
+    """An InitialState as riins_federated makes it."""
+    sigmas = {f"sigma_{name}": RNG.uniform(0.1, 1.0, 3) for name in ("position", "velocity", "attitude", "gyro_bias", "accel_bias")}
+    rph = np.array([0.1, 0.2, 3.0])
+    return SimpleNamespace(stamp_ns=STAMP, lat=0.5, lon=-2.0, h=3.0, v_n=RNG.normal(size=3), rph=rph, covariance=SPD, source="test", **sigmas)
+
+
 @pytest.fixture(scope="module")
 def typestore() -> Any:
     """Types of the recorded messages as another program knows them: rosbags with our .msg files."""
@@ -119,10 +126,7 @@ def test_fused_imu_to_the_bit_and_in_flu(values: list[float]) -> None:
 
 def test_live_and_recorded_give_the_same_numbers(ros: Callable[..., None], typestore: Any) -> None:
     ros()
-    state = SimpleNamespace(
-        stamp_ns=STAMP, lat=0.5, lon=-2.0, h=3.0, v_n=RNG.normal(size=3), rph=np.array([0.1, 0.2, 3.0]), sigma_position=np.ones(3),
-        sigma_velocity=np.ones(3), sigma_attitude=np.ones(3), sigma_gyro_bias=np.zeros(3), sigma_accel_bias=np.zeros(3), covariance=SPD, source="test",
-    )  # fmt: skip
+    state = initial()
     cases: list[tuple[Any, Any, Any]] = [
         (RedundantImu, fields.redundant_imu(STAMP, 1, RNG.normal(size=6), RNG.normal(size=6), 63, 63), readings.read_redundant_imu),
         (FusedImu, fields.fused_imu(STAMP, 1, RNG.normal(size=3), RNG.normal(size=3), np.eye(3), np.eye(3), 1, 2), readings.read_fused_imu),
@@ -146,7 +150,9 @@ def test_position_aid_back() -> None:
     back = convert.read_position_aid(msg)
     np.testing.assert_allclose(back["z"], [0.6, -2.2, 5.0], rtol=1e-15)
     assert np.array_equal(back["R"], covariance) and back["ok"]
-    lost = convert.read_position_aid(convert.fill(NavSatFix, fields.position_fix(STAMP, 0.6, -2.2, 5.0, np.zeros((3, 3)), "bds_link", 4, has_fix=False)))
+    lost = convert.read_position_aid(
+        convert.fill(NavSatFix, fields.position_fix(STAMP, 0.6, -2.2, 5.0, np.zeros((3, 3)), "bds_link", 4, has_fix=False))
+    )
     assert not lost["ok"] and not lost["R"].any()
 
 
@@ -166,10 +172,7 @@ def test_velocities_back() -> None:
 
 
 def test_initial_state_back() -> None:
-    state = SimpleNamespace(
-        stamp_ns=STAMP, lat=0.5, lon=-2.0, h=3.0, v_n=np.array([1.0, 2.0, 3.0]), rph=np.array([0.1, 0.2, 3.0]), sigma_position=np.ones(3),
-        sigma_velocity=2 * np.ones(3), sigma_attitude=3 * np.ones(3), sigma_gyro_bias=np.zeros(3), sigma_accel_bias=np.ones(3), covariance=SPD, source="s",
-    )  # fmt: skip
+    state = initial()
     back = convert.read_initial_state(convert.fill(InitialState, fields.initial_state(state)))
     for name, value in vars(state).items():
         if name in ("lat", "lon"):
@@ -261,7 +264,15 @@ def test_status_messages() -> None:
     fdi = convert.fill(InertialFdi, fields.inertial_fdi(SimpleNamespace(stamp_ns=STAMP, gyro=triad, accel=triad, counters=counters, text="")))
     assert (list(fdi.gyro.state), fdi.gyro.suspect, convert.to_ns(fdi.gyro.since[1]), fdi.restarts) == ([0, 2], -1, STAMP, 6)
     judged = SimpleNamespace(
-        stamp_ns=STAMP, name="doppler", innovation=np.ones(2), sigma=np.ones(2), standardized=np.ones(2), nis=2.0, threshold=9.0, accepted=True, reason=0
+        stamp_ns=STAMP,
+        name="doppler",
+        innovation=np.ones(2),
+        sigma=np.ones(2),
+        standardized=np.ones(2),
+        nis=2.0,
+        threshold=9.0,
+        accepted=True,
+        reason=0,
     )
     assert convert.fill(Innovation, fields.innovation(judged)).header.frame_id == "doppler_link"
     covariance = convert.fill(NavCovariance, fields.nav_covariance(solution(), [f"s{i} [m]" for i in range(15)]))

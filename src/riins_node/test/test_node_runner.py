@@ -77,7 +77,9 @@ def started(script: Path, *words: str, until: str = "up") -> subprocess.Popen[st
 
 
 @pytest.mark.parametrize("kind", ["plain", "managed"])
-@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT, signal.SIGINT], [signal.SIGTERM, signal.SIGINT]])
+@pytest.mark.parametrize(
+    "signals", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT, signal.SIGINT], [signal.SIGTERM, signal.SIGINT]]
+)
 def test_signals_end_with_status_0(script: Path, kind: str, signals: list[signal.Signals]) -> None:
     process = started(script, kind)
     for number in signals:
@@ -89,7 +91,7 @@ def test_signals_end_with_status_0(script: Path, kind: str, signals: list[signal
 
 
 def test_signal_while_starting_ends_with_status_0(script: Path) -> None:
-    text = script.read_text().replace("super().__init__(\"plain\")", "super().__init__(\"plain\"); print('up', flush=True); import time; time.sleep(1)")
+    text = script.read_text().replace('super().__init__("plain")', "super().__init__(\"plain\"); print('up', flush=True); import time; time.sleep(1)")
     script.write_text(text)
     process = started(script, "plain")
     process.send_signal(signal.SIGINT)
