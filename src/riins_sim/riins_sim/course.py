@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from riins_core.jit import jit
 from riins_core.sensor_errors import KNOT
 from riins_core.settings import SettingError, setting
 
@@ -84,7 +84,7 @@ def segments(legs: Sequence[LegSettings], heading: float, speed: float) -> NDArr
     return np.array(rows)
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _smoothstep(x: float) -> tuple[float, float, float, float]:
     """10 x^3 - 15 x^4 + 6 x^5: its integral from 0, itself, its first and second derivative."""
     x2 = x * x
@@ -95,7 +95,7 @@ def _smoothstep(x: float) -> tuple[float, float, float, float]:
     return integral, value, first, second
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def course_at(t: float, table: NDArray[np.float64]) -> tuple[float, float, float, float, float, float]:
     """Heading and speed at a time.
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.earth import E2, OMEGA_IE, gravity_s, radii_s
+from riins_core.jit import jit
 
 from .course import course_at
 from .vessel import motion
@@ -26,7 +26,7 @@ _GAUSS = (0.5 - 0.5 * math.sqrt(0.6), 0.5, 0.5 + 0.5 * math.sqrt(0.6))
 _WEIGHT = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _path_rates(t: float, lat: float, h: float, course: Array) -> tuple[float, float, float, float]:
     """Derivatives of latitude, longitude [rad/s], north and east way [m/s] of the ship without waves."""
     heading, _, _, _, speed, _ = course_at(t, course)
@@ -35,7 +35,7 @@ def _path_rates(t: float, lat: float, h: float, course: Array) -> tuple[float, f
     return north / (r_m + h), east / ((r_n + h) * math.cos(lat)), north, east
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def integrate_course(start: Array, panels: int, length: float, course: Array) -> Array:
     """Position of the ship without waves at the panel ends, by Runge-Kutta of fourth order.
 
@@ -75,7 +75,7 @@ def integrate_course(start: Array, panels: int, length: float, course: Array) ->
     return path
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _radius_slopes(lat: float, r_m: float, r_n: float) -> tuple[float, float]:
     """Derivatives of R_M and R_N by latitude, m/rad."""
     s = math.sin(lat)
@@ -83,7 +83,7 @@ def _radius_slopes(lat: float, r_m: float, r_n: float) -> tuple[float, float]:
     return 3.0 * r_m * x, r_n * x
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _knot(p: int, length: float, h0: float, path: Array, course: Array, waves: Array, heel: float, scratch: Array, knot: Array) -> None:
     """Coordinates at panel end p: latitude, longitude beyond `path` [rad], height [m], roll, pitch, heading [rad]; value, two derivatives."""
     t = p * length
@@ -120,7 +120,7 @@ def _knot(p: int, length: float, h0: float, path: Array, course: Array, waves: A
     knot[5, 0], knot[5, 1], knot[5, 2] = heading + m[2, 0], r + m[2, 1], r1 + m[2, 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _panel(p: int, length: float, path: Array, first: Array, second: Array, coefficients: Array) -> None:
     """Quintic Hermite polynomials in u = 0..1 between two knots; latitude and longitude relative to `path[p]`."""
     for i in range(6):
@@ -140,7 +140,7 @@ def _panel(p: int, length: float, path: Array, first: Array, second: Array, coef
         coefficients[i, 5] = 6.0 * d - 3.0 * e + 0.5 * f
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _state(u: float, length: float, lat0: float, lon0: float, coefficients: Array, q: Array, out: Array) -> None:
     """Row of COLUMNS numbers at u of a panel: the exact kinematics of its polynomials."""
     w = 1.0 / length
@@ -188,7 +188,7 @@ def _state(u: float, length: float, lat0: float, lon0: float, coefficients: Arra
     out[23] = c02 * fn + c12 * fe + c22 * fd
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def truth_kernel(t: Array, length: float, h0: float, path: Array, course: Array, waves: Array, heel: float, out: Array) -> None:
     """Kinematics at any times.
 
@@ -213,7 +213,7 @@ def truth_kernel(t: Array, length: float, h0: float, path: Array, course: Array,
         _state((t[i] - p * length) / length, length, path[p, 0], path[p, 1], coefficients, q, out[i])
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def increment_kernel(
     k0: int, per_panel: int, length: float, h0: float, path: Array, course: Array, waves: Array, heel: float, rate: Array, force: Array
 ) -> None:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.earth import STANDARD_GRAVITY, radii_s
 from riins_core.imu_array import CONFIGURATIONS, ImuArray
+from riins_core.jit import jit
 from riins_core.noise import GaussMarkov, normal
 from riins_core.sensor_errors import KNOT, PPM, SensorErrors
 
@@ -203,7 +203,7 @@ class _Aid:
         return self._outages.apply_aid(self.name, stamp, k0, values, _never)
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _sensor_velocity(c_nb: Array, v_n: Array, rate: Array, lever: Array, v_b: Array) -> None:
     """Velocity over ground of a sensor in the body, FRD, m/s: v_b + w_nb x l."""
     for i in range(v_n.shape[0]):
@@ -214,7 +214,7 @@ def _sensor_velocity(c_nb: Array, v_n: Array, rate: Array, lever: Array, v_b: Ar
         v_b[i, 2] += rate[i, 0] * lever[1] - rate[i, 1] * lever[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _turned(c: Array, v: Array, out: Array) -> None:
     """out += c v row by row; c is (m, 3, 3), or (1, 3, 3) for all rows."""
     for i in range(v.shape[0]):
@@ -223,7 +223,7 @@ def _turned(c: Array, v: Array, out: Array) -> None:
             out[i, j] += c[k, j, 0] * v[i, 0] + c[k, j, 1] * v[i, 1] + c[k, j, 2] * v[i, 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def _displaced(lat: Array, lon: Array, h: Array, offset: Array, place: Array, per_metre: Array) -> None:
     """Positions moved by offsets north, east, down [m], and what a metre is in latitude, longitude and height there."""
     for i in range(lat.shape[0]):

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from riins_core.jit import jit
 from riins_core.settings import setting
 
 from .waves import WaveField
@@ -77,7 +77,7 @@ def response_table(field: WaveField, vessel: VesselSettings) -> Array:
     return np.ascontiguousarray(np.stack(columns, axis=-1))
 
 
-@numba.njit(cache=True, nogil=True)
+@jit
 def motion(t: float, place: Array, course: Array, table: Array, out: Array) -> None:
     """Motion in waves at a time, with its derivatives along the ship's path.
 
