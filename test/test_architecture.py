@@ -27,6 +27,7 @@ FLOORS = {
 }
 SAME_FLOOR = {("riins_node", "riins_core")}  # node plumbing stands on the mathematics' settings and frames
 ROS = re.compile(r"^(rclpy|rcl_interfaces|builtin_interfaces|ament_index_python|launch|launch_ros|lifecycle_msgs|rosgraph_msgs|\w+_msgs)(\.|$)")
+PIP = ("numba", "mcap", "rosbags", "zstandard", "typer", "rich", "plotly")  # no rosdep key on Ubuntu 24.04
 ROS_FREE_MODULES = {"riins_node/fields.py", "riins_node/readings.py"}  # shared with the offline engine
 LONGEST, LONGEST_NODE = 450, 260  # lines
 MODULES = sorted(f for f in SRC.glob("riins_*/riins_*/**/*.py") if "__pycache__" not in f.parts)
@@ -108,9 +109,13 @@ def test_manifest_is_honest(package: str) -> None:
     for name in sorted(used - {package}):
         if name in FLOORS or ROS.match(name):
             assert name in declared, f"{package} imports {name} and does not declare it"
-    keys = {"numpy": "python3-numpy", "scipy": "python3-scipy", "numba": "python3-numba", "yaml": "python3-yaml", "rich": "python3-rich"}
+    keys = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-yaml", "matplotlib": "python3-matplotlib", "jinja2": "python3-jinja2"}
     for name, key in keys.items():
-        assert (name in used) <= (key in declared), f"{package} imports {name} and does not declare {key}"
+        assert (name in used) == (key in declared), f"{package} {'imports' if name in used else 'does not import'} {name}; see {key}"
+    listed = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    for name in sorted(used & set(PIP)):
+        assert re.search(rf"^{name}\b", listed, re.MULTILINE), f"{name} is not in requirements.txt"
+        assert name in (SRC / package / "package.xml").read_text(encoding="utf-8"), f"{package}/package.xml does not speak of {name}"
     unused = {name for name in declared if name in FLOORS} - used
     assert package == "riins_msgs" or not unused, f"{package} declares {', '.join(sorted(unused))} and imports nothing of it"
 
