@@ -45,10 +45,19 @@ def voyage(seed: int) -> dict[str, float]:
         fused += int((inside & judged.accepted).sum())
     ratio = score["oracle_ratio"]
     return {
-        "position ratio": ratio["position"], "velocity ratio": ratio["velocity"], "heading ratio": ratio["heading"],
-        "good rejected": good, "faulty": faulty, "faulty fused": fused, "delay": max(f["delay_s"] if f["detected"] else np.inf for f in score["faults"]),
-        "position": score["position_rms_m"], "velocity": score["velocity_rms_mps"], "heading": score["heading_rms_arcmin"],
-        "nees": score["nees_per_dof"], "sigma": float(np.sqrt(record.covariance[-1, 6, 6]) * ARCMIN), "seconds": result.seconds,
+        "position ratio": ratio["position"],
+        "velocity ratio": ratio["velocity"],
+        "heading ratio": ratio["heading"],
+        "good rejected": good,
+        "faulty": faulty,
+        "faulty fused": fused,
+        "delay": max(f["delay_s"] if f["detected"] else np.inf for f in score["faults"]),
+        "position": score["position_rms_m"],
+        "velocity": score["velocity_rms_mps"],
+        "heading": score["heading_rms_arcmin"],
+        "nees": score["nees_per_dof"],
+        "sigma": float(np.sqrt(record.covariance[-1, 6, 6]) * ARCMIN),
+        "seconds": result.seconds,
     }
 
 

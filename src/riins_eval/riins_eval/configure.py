@@ -138,14 +138,22 @@ def configuration_text(scenario: Scenario, start_at_ns: int = 0, fusion: FusionC
     fusion = fusion or fusion_config(scenario)
     flu = fusion.array().H * np.array([1.0, -1.0, -1.0])
     lever_arms = {f"{name}_link": [float(v) for v in flip(getattr(scenario, name).lever_arm_m)] for name in ("gps", "bds", "doppler")}
-    return str(yaml.safe_dump({
-        "start_at_ns": start_at_ns,
-        "scenario": yaml.safe_load(scenario.to_yaml()),
-        "fusion": as_mapping(fusion),
-        "navigator": as_mapping(navigator or navigator_config(scenario)),
-        "geometry": flu.tolist(),
-        "frames": {"parent": "base_link", "axes": "FLU", "translation_m": {"imu_link": [0.0, 0.0, 0.0], **lever_arms}},
-    }, sort_keys=False, allow_unicode=True, default_flow_style=None, width=150))
+    return str(
+        yaml.safe_dump(
+            {
+                "start_at_ns": start_at_ns,
+                "scenario": yaml.safe_load(scenario.to_yaml()),
+                "fusion": as_mapping(fusion),
+                "navigator": as_mapping(navigator or navigator_config(scenario)),
+                "geometry": flu.tolist(),
+                "frames": {"parent": "base_link", "axes": "FLU", "translation_m": {"imu_link": [0.0, 0.0, 0.0], **lever_arms}},
+            },
+            sort_keys=False,
+            allow_unicode=True,
+            default_flow_style=None,
+            width=150,
+        )
+    )
 
 
 def flip(frd: tuple[float, ...]) -> tuple[float, float, float]:

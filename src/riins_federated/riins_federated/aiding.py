@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from riins_core.earth import radii_s
 from riins_core.rotation import skew
 

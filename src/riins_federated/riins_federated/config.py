@@ -30,7 +30,9 @@ class PositionAid:
     """A GNSS receiver."""
 
     enabled: bool = setting(True, "use this subfilter")
-    sigma_m: tuple[float, ...] = setting((30.0, 30.0, 60.0), "sigma north, east, down where the message gives no covariance", "m", 1e-4, 1e5, length=3)
+    sigma_m: tuple[float, ...] = setting(
+        (30.0, 30.0, 60.0), "sigma north, east, down where the message gives no covariance", "m", 1e-4, 1e5, length=3
+    )
     sigma_floor_m: float = setting(0.0, "a smaller reported sigma is raised to this", "m", 0.0, 1e5)
     markov_sigma_m: float = setting(0.0, "correlated error, worked in by a larger white noise", "m", 0.0, 1e5)
     markov_time_s: float = setting(100.0, "its correlation time", "s", 0.1, 1e6)
@@ -45,7 +47,9 @@ class VelocityAid:
     """A Doppler log."""
 
     enabled: bool = setting(True, "use this subfilter")
-    sigma_mps: tuple[float, ...] = setting((0.1286, 0.1286, 0.1286), "sigma forward, starboard, down where the message gives none", "m/s", 1e-6, 100.0, length=3)
+    sigma_mps: tuple[float, ...] = setting(
+        (0.1286, 0.1286, 0.1286), "sigma forward, starboard, down where the message gives none", "m/s", 1e-6, 100.0, length=3
+    )
     sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
     misalignment_deg: float = setting(0.5, "sigma of the unknown mounting yaw; 0: known, not estimated", "deg", 0.0, 90.0)
     scale_ppm: float = setting(0.0, "sigma of the unknown scale factor; 0: known, not estimated", "ppm", 0.0, 1e6)
@@ -93,8 +97,12 @@ class ValidityLimits:
 class NavigatorConfig:
     """Everything the navigator needs to know before it starts."""
 
-    structure: str = setting("information", "information: exact master; fusion_reset: local filters, fused and reset", choices=("information", "fusion_reset"))
-    max_delay_s: float = setting(2.0, "a measurement later than this, by IMU time, is counted and dropped; an IMU stamp that jumps by more restarts the run", "s", 0.05, 600.0)
+    structure: str = setting(
+        "information", "information: exact master; fusion_reset: local filters, fused and reset", choices=("information", "fusion_reset")
+    )
+    max_delay_s: float = setting(
+        2.0, "a measurement later than this, by IMU time, is counted and dropped; an IMU stamp that jumps by more restarts the run", "s", 0.05, 600.0
+    )
     covariance_period_s: float = setting(1.0, "interval of the covariance propagation", "s", 0.01, 60.0)
     settle_period_s: float = setting(1.0, "interval of the settled state", "s", 0.01, 3600.0)
     feedback_period_s: float = setting(0.0, "output correction for this long, then feedback; 0: feedback at every measurement", "s", 0.0, 1e6)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
+
 from riins_core.earth import STANDARD_GRAVITY, radii_s
 from riins_core.ins_error import fill_dynamics
 from riins_core.jit import jit
@@ -58,9 +59,14 @@ BG = slice(9, 12)
 BA = slice(12, 15)
 GM = slice(15, 18)
 
-LABELS = tuple(f"{name.lower()} [{unit}]" for name, unit in zip(
-    (state.name for state in NavError),
-    ["m"] * 3 + ["m/s"] * 3 + ["rad"] * 3 + ["rad/s"] * 3 + ["m/s^2"] * 3 + ["rad/s"] * 3 + ["rad", "1"], strict=True))
+LABELS = tuple(
+    f"{name.lower()} [{unit}]"
+    for name, unit in zip(
+        (state.name for state in NavError),
+        ["m"] * 3 + ["m/s"] * 3 + ["rad"] * 3 + ["rad/s"] * 3 + ["m/s^2"] * 3 + ["rad/s"] * 3 + ["rad", "1"],
+        strict=True,
+    )
+)
 
 DEG_H = np.pi / 180.0 / 3600.0
 DEG_SQRT_H = np.pi / 180.0 / 60.0

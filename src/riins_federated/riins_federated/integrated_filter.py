@@ -7,9 +7,10 @@ Does not live here: what happens when (navigator.py), the models (aiding.py, err
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
 from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
 from riins_core.strapdown import strapdown_block
 from riins_fdi.health import Change
@@ -97,8 +98,18 @@ class IntegratedFilter:
         nav[6:15] = dcm_from_euler(*initial.rph).ravel()
         before = self._motion
         self._motion = _Motion(
-            nav, nav.copy(), np.zeros(3), np.zeros(3), np.zeros(11), np.zeros(13), np.zeros((2, 3)), np.zeros((2, 3)),
-            stamp_ns=initial.stamp_ns, started_ns=initial.stamp_ns, reset_count=before.reset_count + 1 if before else 0)
+            nav,
+            nav.copy(),
+            np.zeros(3),
+            np.zeros(3),
+            np.zeros(11),
+            np.zeros(13),
+            np.zeros((2, 3)),
+            np.zeros((2, 3)),
+            stamp_ns=initial.stamp_ns,
+            started_ns=initial.stamp_ns,
+            reset_count=before.reset_count + 1 if before else 0,
+        )
         P0 = initial_covariance(initial, self._config)
         shares = len(self.subfilters) + 1  # the mean height is the last one's
         self._master = FusionReset(P0, shares) if self._config.structure == "fusion_reset" else InformationMaster(P0, shares)
@@ -170,8 +181,18 @@ class IntegratedFilter:
         """State at the newest sample, corrected by the estimate."""
         m = self._running()
         return solution(
-            m.stamp_ns, m.nav, m.parameters, m.rate[0], m.force[0], self._master.x, self._master.P, self.mode(), self._config.validity,
-            m.reset_count, m.reset)
+            m.stamp_ns,
+            m.nav,
+            m.parameters,
+            m.rate[0],
+            m.force[0],
+            self._master.x,
+            self._master.P,
+            self.mode(),
+            self._config.validity,
+            m.reset_count,
+            m.reset,
+        )
 
     def snapshot(self) -> tuple[object, ...]:
         """All that `restore` needs."""

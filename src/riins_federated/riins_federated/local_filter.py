@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from riins_core import kalman
 from riins_fdi.health import SUBFILTER_CODE, Change, HealthConfig, HealthMachine, HealthState
 from riins_fdi.innovation import nis_threshold
@@ -54,9 +55,17 @@ class LocalFilter:
         self.late = 0
         self.malformed = 0
         self._false_alarm_probability = isolation.false_alarm_probability
-        self._health = HealthMachine(HealthConfig(
-            isolate_count=isolation.isolate_after, clear_count=1, hold_s=isolation.hold_s, hold_after_failure=True,
-            hold_growth=1.0, probation_count=isolation.readmit_after, probation_s=0.0))
+        self._health = HealthMachine(
+            HealthConfig(
+                isolate_count=isolation.isolate_after,
+                clear_count=1,
+                hold_s=isolation.hold_s,
+                hold_after_failure=True,
+                hold_growth=1.0,
+                probation_count=isolation.readmit_after,
+                probation_s=0.0,
+            )
+        )
         self._last = _Last()
 
     def defect(self, aid: Aid) -> Reason:
@@ -94,7 +103,16 @@ class LocalFilter:
             matrix = measurement.H.T @ np.linalg.solve(measurement.R, measurement.H)
             information = (float(np.trace(matrix[0:3, 0:3])), float(np.trace(matrix[3:6, 3:6])))
         last = self._last
-        self._last = _Last(stamp_ns, stamp_ns if accepted else last.accepted_ns, innovation.nis, threshold, reason, information, last.accepted + accepted, last.rejected + (not accepted))
+        self._last = _Last(
+            stamp_ns,
+            stamp_ns if accepted else last.accepted_ns,
+            innovation.nis,
+            threshold,
+            reason,
+            information,
+            last.accepted + accepted,
+            last.rejected + (not accepted),
+        )
         sigma = np.sqrt(np.diag(innovation.S))
         return Judged(stamp_ns, self.name, innovation.z, sigma, innovation.standardized, innovation.nis, threshold, accepted, reason), change
 
@@ -134,8 +152,20 @@ class LocalFilter:
         """State and counts, for the status message."""
         last = self._last
         return SubfilterReport(
-            self.name, SUBFILTER_CODE[self._health.state], last.reason, last.stamp_ns, self._health.since_ns, last.statistic, last.threshold, beta,
-            last.information, last.accepted, last.rejected, self.late, self.malformed)
+            self.name,
+            SUBFILTER_CODE[self._health.state],
+            last.reason,
+            last.stamp_ns,
+            self._health.since_ns,
+            last.statistic,
+            last.threshold,
+            beta,
+            last.information,
+            last.accepted,
+            last.rejected,
+            self.late,
+            self.malformed,
+        )
 
     def _held(self) -> Reason:
         return Reason.OPERATOR if self._health.state is HealthState.EXCLUDED else Reason.HOLD

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+
 from riins_core import kalman
 
 from .aiding import Measurement
@@ -99,7 +100,8 @@ class FusionReset:
     def update(self, index: int, measurement: Measurement) -> None:
         """Update local filter `index`, fuse all of them, and reset them to the fused state."""
         self.local_x[index], self.local_P[index], _ = kalman.update(
-            self.local_x[index], self.local_P[index], measurement.z, measurement.H, measurement.R)
+            self.local_x[index], self.local_P[index], measurement.z, measurement.H, measurement.R
+        )
         self._fuse_and_reset()
 
     def shift(self, dx: Array) -> None:

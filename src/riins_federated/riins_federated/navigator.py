@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from riins_fdi.health import Change
 
 from .config import NavigatorConfig
@@ -75,8 +76,11 @@ class Navigator:
         self._rank = {local.name: i for i, local in enumerate(self._filter.subfilters)}
         self._max_delay = _ns(config.max_delay_s)
         self._period = _Due(
-            _ns(config.covariance_period_s), _ns(config.height.period_s) if config.height.enabled else 0,
-            _ns(config.settle_period_s), _ns(config.feedback_period_s))
+            _ns(config.covariance_period_s),
+            _ns(config.height.period_s) if config.height.enabled else 0,
+            _ns(config.settle_period_s),
+            _ns(config.feedback_period_s),
+        )
         self._initials: list[InitialState] = []
         self._out: dict[type, list[Any]] = {NavSolution: [], Judged: [], NavEvent: []}
         self._last_ns: int | None = None
@@ -112,7 +116,7 @@ class Navigator:
         if initial.stamp_ns in stamps and running and initial.stamp_ns <= self._filter.started_ns:
             return ""  # a latched message heard again
         if running and (initial.stamp_ns <= self._filter.started_ns or self._is_late(initial.stamp_ns)):
-            return f"the initial state comes too late: its stamp is before the run, or more than {self.config.max_delay_s:g} s before the newest IMU sample"
+            return f"the initial state comes too late: its stamp is before the run, or {self.config.max_delay_s:g} s before the newest IMU sample"
         if initial.stamp_ns in stamps:
             self._initials[stamps.index(initial.stamp_ns)] = initial
         else:
@@ -157,7 +161,7 @@ class Navigator:
         self._take_in(command.stamp_ns)
         return ""
 
-    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[np.uint32], rate: Array, force: Array) -> None:
+    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[Any], rate: Array, force: Array) -> None:
         """Take a block of samples of any length.
 
         Parameters
@@ -166,16 +170,17 @@ class Navigator:
         sequence : (m,), numbers of the source; a gap counts as lost
         rate, force : (m, 3), mean body rate and specific force over the interval, rad/s, m/s^2, FRD
         """
-        stamp_ns, sequence = np.asarray(stamp_ns, np.int64), np.asarray(sequence, np.int64)
+        stamp_ns = np.asarray(stamp_ns, np.int64)
+        numbers: NDArray[np.int64] = np.asarray(sequence, np.int64)
         self.imu_received += len(stamp_ns)
-        finite = np.isfinite(rate).all(axis=1) & np.isfinite(force).all(axis=1)
+        finite: NDArray[np.bool_] = np.isfinite(np.concatenate([rate, force], axis=1)).all(axis=1)
         start = 0
         while start < len(stamp_ns):
             before = stamp_ns[start] - 1 if self._last_ns is None else self._last_ns
             steps = np.diff(stamp_ns[start:], prepend=before)
             unusual = np.flatnonzero(~(finite[start:] & (steps > 0) & (steps <= self._max_delay)))
             stop = start + int(unusual[0]) if len(unusual) else len(stamp_ns)
-            self._append(stamp_ns[start:stop], sequence[start:stop], rate[start:stop], force[start:stop])
+            self._append(stamp_ns[start:stop], numbers[start:stop], rate[start:stop], force[start:stop])
             if stop == len(stamp_ns):
                 break
             step = int(steps[stop - start])
@@ -209,8 +214,15 @@ class Navigator:
         """State of the subfilters and counts, as of the newest IMU sample."""
         beta = self._filter.beta if self._filter.running else np.zeros(len(self._rank))
         return FederatedReport(
-            self._last_ns or 0, self._filter.mode(), tuple(local.report(float(beta[i])) for i, local in enumerate(self._filter.subfilters)),
-            self.imu_received, self.imu_lost, self.imu_rejected, self.restarts, self.rollbacks)
+            self._last_ns or 0,
+            self._filter.mode(),
+            tuple(local.report(float(beta[i])) for i, local in enumerate(self._filter.subfilters)),
+            self.imu_received,
+            self.imu_lost,
+            self.imu_rejected,
+            self.restarts,
+            self.rollbacks,
+        )
 
     def finish(self) -> None:
         """End of the recording: everything is settled."""
@@ -255,7 +267,9 @@ class Navigator:
                 self._queue.add(stamp, rank, item)
             elif isinstance(item, Aid):
                 self._filter.subfilters[rank].late += 1
-        self._journal.add(stamp_ns, NavEvent(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state"))
+        self._journal.add(
+            stamp_ns, NavEvent(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state")
+        )
 
     def _take_in(self, stamp_ns: int) -> None:
         """Work in a new item of the queue, going back if its time has passed."""
@@ -285,7 +299,7 @@ class Navigator:
             if cursor < len(queue):
                 due = min(due, queue[cursor].stamp_ns)
             stop = min(max(int(np.searchsorted(imu.stamp, due)), k), len(imu) - 1)
-            self._filter.integrate(imu.rate[k:stop + 1], imu.force[k:stop + 1], imu.dt[k:stop + 1], int(imu.stamp[stop]))
+            self._filter.integrate(imu.rate[k : stop + 1], imu.force[k : stop + 1], imu.dt[k : stop + 1], int(imu.stamp[stop]))
             k = stop + 1
             self._sample = k + self._dropped_samples
             if imu.stamp[stop] >= due:
@@ -317,7 +331,9 @@ class Navigator:
                 self._filter.subfilters[self._rank[item.name]].use(item.stamp_ns, item.use)
             self._cursor += 1
         self._schedule(initial.stamp_ns)
-        self._journal.add(initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}"))
+        self._journal.add(
+            initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}")
+        )
         self._checkpoints = [self._checkpoint(initial.stamp_ns)]
         return True
 
@@ -325,8 +341,11 @@ class Navigator:
         never = 2**62
         period = self._period
         self._due = _Due(
-            stamp_ns + period.covariance, stamp_ns + period.height if period.height else never, stamp_ns + period.settle,
-            stamp_ns + period.feedback if period.feedback else never)
+            stamp_ns + period.covariance,
+            stamp_ns + period.height if period.height else never,
+            stamp_ns + period.settle,
+            stamp_ns + period.feedback if period.feedback else never,
+        )
 
     def _work(self, stamp_ns: int, sample: int) -> None:
         """Do what is due at a sample that has just been integrated."""
@@ -378,7 +397,9 @@ class Navigator:
             self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), int(imu.stamp[sample]))
             self._filter.propagate()
         self._schedule(initial.stamp_ns)
-        self._journal.add(initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}"))
+        self._journal.add(
+            initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}")
+        )
 
     def _note(self, name: str, change: Change | None) -> None:
         if change is not None:

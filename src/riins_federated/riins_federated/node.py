@@ -17,12 +17,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import Imu, NavSatFix
+
 from riins_core.frames import LocalFrame
 from riins_msgs import msg, srv
 from riins_node import convert, fields, qos
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
-from sensor_msgs.msg import Imu, NavSatFix
 
 from .config import NodeConfig
 from .error_filter import LABELS

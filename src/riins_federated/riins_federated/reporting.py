@@ -69,7 +69,13 @@ def diagnosis(report: FederatedReport, refused_initial_states: int) -> list[tupl
     statuses = [("navigator", level, word, counts)]
     for sub in report.subfilters:
         values = {
-            "statistic": f"{sub.statistic:.3f}", "threshold": f"{sub.threshold:.3f}", "reason of last rejection": sub.reason.name.lower(),
-            "accepted": sub.accepted, "rejected": sub.rejected, "late": sub.late, "malformed": sub.malformed}
+            "statistic": f"{sub.statistic:.3f}",
+            "threshold": f"{sub.threshold:.3f}",
+            "reason of last rejection": sub.reason.name.lower(),
+            "accepted": sub.accepted,
+            "rejected": sub.rejected,
+            "late": sub.late,
+            "malformed": sub.malformed,
+        }
         statuses.append((f"navigator: {sub.name}", "ok" if sub.state == HEALTHY else "warn", STATE_NAME[sub.state], values))
     return statuses

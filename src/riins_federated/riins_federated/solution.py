@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from riins_core.earth import earth_rate_n, transport_rate_n
 from riins_core.rotation import euler_from_dcm
 from riins_fdi.innovation import nis_threshold
@@ -28,8 +29,17 @@ def body_rate(nav: Array, rate_ib: Array) -> Array:
 
 
 def solution(
-    stamp_ns: int, nav: Array, parameters: Array, rate: Array, force: Array, x: Array, P: Array, mode: Mode, limits: ValidityLimits,
-    reset_count: int, reset: tuple[float, float, float],
+    stamp_ns: int,
+    nav: Array,
+    parameters: Array,
+    rate: Array,
+    force: Array,
+    x: Array,
+    P: Array,
+    mode: Mode,
+    limits: ValidityLimits,
+    reset_count: int,
+    reset: tuple[float, float, float],
 ) -> NavSolution:
     """Corrected navigation state with its accuracy and validity.
 
@@ -54,9 +64,24 @@ def solution(
     lon = (nav[1] + math.pi) % (2.0 * math.pi) - math.pi
     major = horizontal_variance(P[0:2, 0:2])
     return NavSolution(
-        stamp_ns, float(nav[0]), lon, float(nav[2]), nav[3:6].copy(), np.array([roll, pitch, heading]), C_nb.copy(),
-        body_rate(nav, rate - bias_g), force - parameters[3:6], bias_g, parameters[3:6].copy(), P.copy(), mode,
-        validity(P, float(nav[0]), mode, limits), math.sqrt(nis_threshold(limits.integrity_risk, 2) * major), reset_count, reset)
+        stamp_ns,
+        float(nav[0]),
+        lon,
+        float(nav[2]),
+        nav[3:6].copy(),
+        np.array([roll, pitch, heading]),
+        C_nb.copy(),
+        body_rate(nav, rate - bias_g),
+        force - parameters[3:6],
+        bias_g,
+        parameters[3:6].copy(),
+        P.copy(),
+        mode,
+        validity(P, float(nav[0]), mode, limits),
+        math.sqrt(nis_threshold(limits.integrity_risk, 2) * major),
+        reset_count,
+        reset,
+    )
 
 
 def horizontal_variance(P: Array) -> float:
@@ -88,6 +113,5 @@ def validity(P: Array, lat: float, mode: Mode, limits: ValidityLimits) -> tuple[
     return (
         judge(position, limits.position_m, limits.position_invalid_m, supported),
         judge(velocity, limits.velocity_mps, limits.velocity_invalid_mps, supported),
-        judge(heading, limits.heading_deg * secant, limits.heading_invalid_deg * secant, True))
-
-
+        judge(heading, limits.heading_deg * secant, limits.heading_invalid_deg * secant, True),
+    )

@@ -108,7 +108,7 @@ class Journal:
 
     def truncate(self, length: int) -> None:
         """Take back what was noted after the journal had this length."""
-        del self._entries[length - self._given:]
+        del self._entries[length - self._given :]
 
     def take(self, until_ns: int) -> list[Any]:
         """Hand out what is not later than a stamp."""

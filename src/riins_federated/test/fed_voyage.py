@@ -56,7 +56,9 @@ def voyage(start_ns: int = 0) -> Voyage:
     for name in ("gps", "bds"):
         sim = PositionSim(scenario, name, trajectory)
         fixes = sim.block(1, sim.samples)
-        aids += [Aid(name, int(t) + start_ns, np.array(z), fixes.covariance) for t, *z in zip(fixes.stamp_ns, fixes.lat, fixes.lon, fixes.h, strict=True)]
+        aids += [
+            Aid(name, int(t) + start_ns, np.array(z), fixes.covariance) for t, *z in zip(fixes.stamp_ns, fixes.lat, fixes.lon, fixes.h, strict=True)
+        ]
     log = DopplerSim(scenario, trajectory)
     speeds = log.block(1, log.samples)
     aids += [Aid("doppler", int(t) + start_ns, v, speeds.covariance) for t, v in zip(speeds.stamp_ns, speeds.v_b, strict=True)]
@@ -66,8 +68,17 @@ def voyage(start_ns: int = 0) -> Voyage:
     sigma_position, sigma_velocity, sigma_attitude = np.array([5.0, 5.0, 2.0]), np.full(3, 0.1), np.array([1.5e-4, 1.5e-4, 2e-3])
     rph = np.ravel(euler_from_dcm(truth.C_nb[0])) + rng.normal(size=3) * sigma_attitude
     initial = InitialState(
-        start_ns, float(truth.lat[0]) + 3.0 / 6.37e6, float(truth.lon[0]), float(truth.h[0]), truth.v_n[0] + 0.05, rph,
-        sigma_position, sigma_velocity, sigma_attitude, source="test")
+        start_ns,
+        float(truth.lat[0]) + 3.0 / 6.37e6,
+        float(truth.lon[0]),
+        float(truth.h[0]),
+        truth.v_n[0] + 0.05,
+        rph,
+        sigma_position,
+        sigma_velocity,
+        sigma_attitude,
+        source="test",
+    )
     sequence = np.arange(1, imu.samples + 1)
     return Voyage(block.stamp_ns + start_ns, sequence, block.gyro @ W.T, block.accel @ W.T, aids, initial, trajectory, log.true_misalignment)
 
@@ -75,7 +86,13 @@ def voyage(start_ns: int = 0) -> Voyage:
 def config(**over: object) -> NavigatorConfig:
     """Settings that know the voyage's sensors."""
     base: dict[str, object] = {
-        "inertial": {"gyro_bias_deg_h": 0.035, "gyro_markov_deg_h": 0.0, "gyro_arw_deg_sqrt_h": 0.0035, "accel_bias_ug": 71.0, "accel_vrw_ug_sqrt_hz": 14.0},
+        "inertial": {
+            "gyro_bias_deg_h": 0.035,
+            "gyro_markov_deg_h": 0.0,
+            "gyro_arw_deg_sqrt_h": 0.0035,
+            "accel_bias_ug": 71.0,
+            "accel_vrw_ug_sqrt_hz": 14.0,
+        },
         "gps": {"lever_arm_m": [-8.0, 1.0, -10.0], "timeout_s": 3.5, "period_s": 1.0},
         "bds": {"lever_arm_m": [-8.0, -1.0, -10.0], "timeout_s": 3.5, "period_s": 1.0},
         "doppler": {"misalignment_deg": 0.4, "lever_arm_m": [15.0, 0.0, 3.0], "timeout_s": 3.5, "period_s": 0.5},

@@ -100,7 +100,9 @@ def test_transition_is_the_exponential_to_second_order_and_the_drift_enters_like
         assert np.array_equal(Qd, Qd.T) or np.abs(Qd - Qd.T).max() < 1e-18
         assert np.linalg.eigvalsh(Qd).min() > -1e-18
     half, whole = matrices
-    size = np.array([1.0] * 3 + [1e-2] * 3 + [1e-5] * 3 + [1e-8] * 3 + [1e-4] * 3 + [1e-8] * 3 + [1e-3, 1e-4])  # of the errors, so that units do not matter
+    size = np.array(
+        [1.0] * 3 + [1e-2] * 3 + [1e-5] * 3 + [1e-8] * 3 + [1e-4] * 3 + [1e-8] * 3 + [1e-3, 1e-4]
+    )  # of the errors, so that units do not matter
     apart = np.abs(half @ half - whole) * size / size[:, None]
     assert 0.0 < apart.max() < 1e-6  # third order in T
     assert half[6:9, 15:18] == pytest.approx(half[6:9, 9:12], rel=1e-3, abs=1e-9)

@@ -32,7 +32,15 @@ def straight(v: Voyage) -> tuple[list[NavSolution], list]:
 def same(a: list[NavSolution], b: list[NavSolution]) -> None:
     assert len(a) == len(b) > 0
     for x, y in zip(a, b, strict=True):
-        assert (x.stamp_ns, x.lat, x.lon, x.h, x.mode, x.validity, x.reset_count) == (y.stamp_ns, y.lat, y.lon, y.h, y.mode, y.validity, y.reset_count)
+        assert (x.stamp_ns, x.lat, x.lon, x.h, x.mode, x.validity, x.reset_count) == (
+            y.stamp_ns,
+            y.lat,
+            y.lon,
+            y.h,
+            y.mode,
+            y.validity,
+            y.reset_count,
+        )
         for name in ("v_n", "rph", "rate_b", "bias_g", "bias_a", "P"):
             assert np.array_equal(getattr(x, name), getattr(y, name)), name
 
