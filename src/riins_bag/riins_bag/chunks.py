@@ -240,7 +240,7 @@ def decompress(chunk: Chunk) -> bytes:
         elif chunk.compression == "":
             data = bytes(chunk.data)
         elif chunk.compression == "lz4":
-            import lz4.frame  # only bags of other recorders use it
+            import lz4.frame  # type: ignore[import-untyped]  # only bags of other recorders use it
 
             data = lz4.frame.decompress(chunk.data)
         else:
