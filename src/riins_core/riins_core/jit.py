@@ -37,7 +37,7 @@ def jit(function: Function) -> Function:
     numba's own cache looks at the date of the file a kernel stands in, so it misses an edit of a kernel or a constant in another file and
     goes on with old code. Here an entry is good for the contents of the file and of all files of ours it imports, directly or not.
     """
-    compiled = cast(Any, numba.njit(function))
+    compiled = cast(Any, numba.njit(nogil=True)(function))
     compiled.enable_caching()
     # numba has no public way to say what an entry depends on; test_core_jit.py fails if this stops working
     compiled._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename))

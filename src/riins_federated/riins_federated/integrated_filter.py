@@ -43,7 +43,10 @@ class _Motion:
     reset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def copy(self) -> _Motion:
-        return _Motion(**{name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()})
+        fresh = replace(self)
+        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "rate", "force"):
+            setattr(fresh, name, getattr(self, name).copy())
+        return fresh
 
 
 class IntegratedFilter:
