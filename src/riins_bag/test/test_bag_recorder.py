@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from bag_graph import Graph
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from std_msgs.msg import String
@@ -118,6 +120,34 @@ def test_sigterm_closes_the_bag_even_when_repeated(graph: Graph) -> None:
     assert status == 0 and "recorder:" in out
     info = describe(graph.folder / "bag")
     assert info.complete and info.imu[0].received == 100 and [topic.name for topic in info.topics] == ["/rimu/raw"]
+
+
+def test_lifecycle_decides_what_is_recorded(graph: Graph) -> None:
+    bag = graph.folder / "bag"
+    recorder = graph.start("recorder", {"path": str(bag), "topics": ["/rimu/raw"], "autostart": False})
+    publisher = graph.node.create_publisher(RedundantImu, "/rimu/raw", 400)
+    client = graph.node.create_client(ChangeState, "/recorder/change_state")
+    graph.until(client.service_is_ready)
+
+    def change(transition: int) -> None:
+        future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        graph.until(future.done)
+        assert future.result().success
+
+    change(Transition.TRANSITION_CONFIGURE)
+    assert bag.is_dir() and not publisher.get_subscription_count()
+    for first in (0, 100):
+        change(Transition.TRANSITION_ACTIVATE)
+        graph.until(publisher.get_subscription_count)
+        stream(graph, publisher, 500.0, 50, first)
+        time.sleep(0.3)
+        change(Transition.TRANSITION_DEACTIVATE)
+        graph.until(lambda: not publisher.get_subscription_count())
+        stream(graph, publisher, 500.0, 50, first + 50)  # not active: not recorded
+    change(Transition.TRANSITION_CLEANUP)
+    gaps = describe(bag).imu[0]
+    assert (gaps.received, gaps.lost, gaps.gaps) == (100, 50, 1)
+    assert graph.stop(recorder)[0] == 0
 
 
 def test_a_full_disk_ends_the_recorder_with_one_line(graph: Graph) -> None:

@@ -28,6 +28,7 @@ from riins_node.runner import AutostartLifecycleNode, StartError, run
 
 CLOCK_PERIOD_NS = 10_000_000  # recorded time between two messages on /clock
 REMIND_S = 5.0
+ACKNOWLEDGE_S = 5.0  # how long slow subscribers are waited for at the end
 
 
 class Player(AutostartLifecycleNode):
@@ -52,6 +53,7 @@ class Player(AutostartLifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop.clear()
+        self._done.clear()
         self._thread = threading.Thread(target=self._work, name="player", daemon=True)
         self._thread.start()
         self._timer = self.create_timer(0.05, self._check)
@@ -144,9 +146,11 @@ class Player(AutostartLifecycleNode):
         self._play_latched(begin_ns)
         while self._play_once(begin_ns) and self.config.loop:
             self.get_logger().info("end of the bag: beginning again")
+        end = time.monotonic() + ACKNOWLEDGE_S
         for sender in self._senders.values():
-            if not self._stop.is_set():
-                sender.wait_for_all_acked(Duration(seconds=10))
+            left = end - time.monotonic()
+            if left > 0.0 and not self._stop.is_set():
+                sender.wait_for_all_acked(Duration(seconds=left))
         self.get_logger().info(f"played {self.played} messages")
 
     def _play_latched(self, begin_ns: int) -> None:
