@@ -45,7 +45,7 @@ class PlayerConfig:
 
     path: str = setting("", "bag directory or .mcap file")
     rate: float = setting(1.0, "recorded time over wall time", "", 0.001, 1000.0)
-    start_offset_s: float = setting(0.0, "where to begin, from the first message", "s", 0.0)
+    start_offset_s: float = setting(0.0, "where to begin, from the first message that is not latched", "s", 0.0)
     loop: bool = setting(False, "begin again at the end; stamps then go back, which consumers announce as a restart")
     topics: tuple[str, ...] = setting((), "topics to play, * and ? allowed; empty: what sensors and truth published")
     publish_clock: bool = setting(False, "publish the log time on /clock, 100 times a second of recorded time")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from riins_bag.bag import BagError, BagReader, BagWriter, deserialize, message, serialize, typestore
 from riins_bag.cdr import Unpacker, pack
+from riins_bag.excerpt import excerpt
 
 FUSED = "riins_msgs/msg/FusedImu"
 
@@ -180,3 +181,14 @@ def test_writer_refusals(tmp_path: Path) -> None:
             bag.write_message("/b", EVENT, {}, 3, "quick")
     with pytest.raises(BagError, match="closed"):
         bag.write_message("/a", EVENT, {}, 3)
+
+
+def test_excerpt_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
+    bag = make_bag(tmp_path / "bag", 1000)
+    assert excerpt(bag, tmp_path / "part", ["/rimu/*", "/riins/configuration"], 2.0, 5.0) == 301
+    with BagReader(bag) as whole, BagReader(tmp_path / "part") as part:
+        assert part.configuration() == whole.configuration() and set(part.topics) == {"/rimu/raw", "/riins/configuration"}
+        inside = list(whole.messages(["/rimu/raw"], EPOCH_NS + 200 * DT_NS, EPOCH_NS + 500 * DT_NS))
+        assert list(part.messages(["/rimu/raw"])) == inside and part.qos("/rimu/raw") == whole.qos("/rimu/raw")
+    with pytest.raises(BagError, match="has none of /nothing; it has /gps/fix"):
+        excerpt(bag, tmp_path / "none", ["/nothing"])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_graph import Graph
-from bag_helpers import DT_NS, EPOCH_NS, make_bag
+from bag_helpers import DT_NS, EPOCH_NS, fill_bag, make_bag
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import NavSatFix
@@ -71,7 +71,10 @@ def test_a_bag_is_played_as_recorded(graph: Graph) -> None:
 
 
 def test_start_offset_keeps_what_was_latched_and_loop_begins_again(graph: Graph) -> None:
-    bag = make_bag(graph.folder / "bag", 600)
+    bag = graph.folder / "bag"
+    with BagWriter(bag) as writer:
+        writer.write_configuration("early: 1\n", EPOCH_NS - 60_000_000_000)  # the recorder waited for a minute: the player does not
+        fill_bag(writer, 600)
     sink = Sink(graph)
     configuration: list[str] = []
     graph.node.create_subscription(String, "/riins/configuration", lambda m: configuration.append(m.data), 10)
@@ -82,7 +85,7 @@ def test_start_offset_keeps_what_was_latched_and_loop_begins_again(graph: Graph)
     status, _, err = graph.stop(player, signal.SIGINT)
     assert status == 0, err
     sequence = [m.sequence for _, m in sink.raw]
-    assert sequence[:201] == list(range(400, 601)) and sequence[201:300] == list(range(400, 499))
+    assert sequence[:200] == list(range(401, 601)) and sequence[200:300] == list(range(401, 501))
     assert configuration == ["scenario: {name: test}\n"]
 
 

@@ -98,8 +98,13 @@ class Player(AutostartLifecycleNode):
             raise ParameterError(
                 f'parameter "topics": {self.config.path} has none of {", ".join(patterns)}; it has {", ".join(sorted(self.bag.topics))}'
             )
-        if self.config.start_offset_s > self.bag.duration_s:
-            raise ParameterError(f'parameter "start_offset_s" is behind the end of the bag ({self.bag.duration_s:.3f} s)')
+        # What is latched may stand long before the first sample, as the recorder starts first: playing begins with the sample.
+        self._latched = [topic for topic in chosen if any(offer.durability == "transient_local" for offer in self.bag.qos(topic))]
+        firsts = [self.bag.span_ns(topic)[0] for topic in chosen if topic not in self._latched and self.bag.topics[topic].number]
+        self._begin_ns = min(firsts, default=self.bag.start_ns)
+        length_s = (self.bag.end_ns - self._begin_ns) * 1e-9
+        if self.config.start_offset_s > length_s:
+            raise ParameterError(f'parameter "start_offset_s" is behind the end of the bag ({length_s:.3f} s)')
         return chosen
 
     def _waited(self) -> list[str]:
@@ -141,7 +146,7 @@ class Player(AutostartLifecycleNode):
         return False
 
     def _play(self) -> None:
-        begin_ns = self.bag.start_ns + round(self.config.start_offset_s * 1e9)
+        begin_ns = self._begin_ns + round(self.config.start_offset_s * 1e9)
         self.get_logger().info(f"playing {len(self.topics)} topics of {self.config.path} at rate {self.config.rate:g}")
         self._play_latched(begin_ns)
         while self._play_once(begin_ns) and self.config.loop:
@@ -155,8 +160,7 @@ class Player(AutostartLifecycleNode):
 
     def _play_latched(self, begin_ns: int) -> None:
         """Give late joiners' topics the message that held at the beginning."""
-        latched = [topic for topic in self.topics if any(offer.durability == "transient_local" for offer in self.bag.qos(topic))]
-        last = {message.topic: message.data for message in self.bag.messages(latched, stop_ns=begin_ns)} if latched else {}
+        last = {message.topic: message.data for message in self.bag.messages(self._latched, stop_ns=begin_ns)}
         for topic, data in last.items():
             self._senders[topic].publish(data)
 
