@@ -55,7 +55,7 @@ class ChunkWriter:
         self._compressor = zstandard.ZstdCompressor(level=level) if level else None
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunk_indexes: list[ChunkIndex] = []
+        self._chunk_indexes: list[bytes] = []  # as records: objects would take ten times the memory over a voyage
         self._metadata_indexes: list[MetadataIndex] = []
         self._empty_chunk()
         self._put(MAGIC + _bytes(Header(profile=profile, library=LIBRARY)))
@@ -154,19 +154,18 @@ class ChunkWriter:
             at += len(indexes[-1])
         self._put(chunk + b"".join(indexes))
         self.stream.flush()
-        self._chunk_indexes.append(
-            ChunkIndex(
-                message_start_time=self._start,
-                message_end_time=self._end,
-                chunk_start_offset=begin,
-                chunk_length=len(chunk),
-                message_index_offsets=offsets,
-                message_index_length=at - begin - len(chunk),
-                compression=kind,
-                compressed_size=len(data),
-                uncompressed_size=len(raw),
-            )
+        chunk_index = ChunkIndex(
+            message_start_time=self._start,
+            message_end_time=self._end,
+            chunk_start_offset=begin,
+            chunk_length=len(chunk),
+            message_index_offsets=offsets,
+            message_index_length=at - begin - len(chunk),
+            compression=kind,
+            compressed_size=len(data),
+            uncompressed_size=len(raw),
         )
+        self._chunk_indexes.append(_bytes(chunk_index))
         self.start_ns = self._start if self.start_ns is None else min(self.start_ns, self._start)
         self.end_ns = self._end if self.end_ns is None else max(self.end_ns, self._end)
         self._empty_chunk()
@@ -187,18 +186,17 @@ class ChunkWriter:
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, list(self._chunk_indexes)),
-            (Opcode.METADATA_INDEX, list(self._metadata_indexes)),
+        groups: list[tuple[Opcode, list[bytes]]] = [
+            (Opcode.SCHEMA, [_bytes(schema) for schema in self._schemas.values()]),
+            (Opcode.CHANNEL, [_bytes(channel) for channel in self._channels.values()]),
+            (Opcode.STATISTICS, [_bytes(statistics)]),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.METADATA_INDEX, [_bytes(index) for index in self._metadata_indexes]),
         ]
         body, offsets = bytearray(), bytearray()
         for opcode, records in groups:
             begin = len(body)
-            for record in records:
-                body += _bytes(record)
+            body += b"".join(records)
             if records:
                 offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=summary_start + begin, group_length=len(body) - begin))
         offset_start = summary_start + len(body)
