@@ -12,8 +12,8 @@ setup:  ## create .venv, install the pinned packages, build, compile and warm up
 build:  ## build what changed in src/ (no warm-up)
 	@sh tools/run.sh tools/setup.py build
 
-demo: setup  ## the live harbour run over DDS, recorded, then a 12 h voyage offline, and a printed table
-	@./riins exec python tools/demo.py
+demo: setup  ## the live harbour run over DDS, recorded, then a 12 h voyage offline, the report, a printed table
+	@./riins demo --out out/demo
 
 test: setup  ## ruff, mypy, every package's tests through colcon, then the whole-system tests
 	@./riins exec python tools/test.py
@@ -22,7 +22,7 @@ lint: setup  ## ruff and mypy only
 	@./riins exec python tools/test.py --lint
 
 bench: setup  ## the tables of docs/results.md that need minutes
-	@./riins exec python tools/bench.py
+	@for script in bench/*.py; do ./riins exec python "$$script" || exit 1; done
 
 lock:  ## make the lock files anew from tools/requirements/*.in (needs uv)
 	@sh tools/lock.sh

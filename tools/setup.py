@@ -6,6 +6,8 @@ Does not live here: what the packages need (tools/requirements), tests (test.py)
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import json
 import os
@@ -15,7 +17,7 @@ import subprocess
 import sys
 import sysconfig
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -107,26 +109,13 @@ def make_environment() -> bool:
     if not done:
         say(f"installing the packages of {lock.name} into .venv with pip (about a minute)")
         if not _logged([sys.executable, "-m", "venv", str(VENV)], log):
-            raise SetupError(
-                f"{sys.executable} cannot make a virtual environment ({_last_line(log)}): install its venv module (Debian, Ubuntu: apt install python{version}-venv)"
-            )
-        pip = [
-            str(VENV / "bin" / "python"),
-            "-m",
-            "pip",
-            "install",
-            "-q",
-            "--disable-pip-version-check",
-            "--no-input",
-            "--require-hashes",
-            "-r",
-            str(lock),
-        ]
-        if not _logged(pip, log):
+            cure = f"install its venv module (Debian, Ubuntu: apt install python{version}-venv) and run make again"
+            raise SetupError(f"{sys.executable} cannot make a virtual environment ({_last_line(log)}): {cure}")
+        pip = [str(VENV / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", "--no-input", "--require-hashes"]
+        if not _logged([*pip, "-r", str(lock)], log):
             shutil.rmtree(VENV, ignore_errors=True)
-            raise SetupError(
-                f"the Python packages could not be installed ({_last_line(log)}): check the network or the proxy and run make again; the whole story is in {_short(log)}"
-            )
+            cure = f"check the network or the proxy and run make again; the whole story is in {_short(log)}"
+            raise SetupError(f"the Python packages could not be installed ({_last_line(log)}): {cure}")
     stamp_file.write_text(f"{ROOT} {version} {_lock_digest(version)}")
     say(f".venv is ready ({time.monotonic() - started:.0f} s)")
     return True
@@ -155,7 +144,7 @@ def build() -> list[str]:
     started = time.monotonic()
     say(f"building {', '.join(changed)}")
     for name in changed:
-        _remove_stale(name)
+        shutil.rmtree(BUILD / name / "build", ignore_errors=True)  # or setuptools installs modules that are gone from src/
     command = [str(VENV / "bin" / "python"), "-m", "colcon", "build", "--base-paths", "src", "--packages-select", *changed]
     command += ["--event-handlers", "console_direct-", "console_start_end-", "--cmake-args", "--no-warn-unused-cli"]
     command += [f"-DCMAKE_PROJECT_INCLUDE={ROOT / 'tools' / 'fixup.cmake'}", f"-DPython3_EXECUTABLE={VENV / 'bin' / 'python'}", "-DBUILD_TESTING=ON"]
@@ -163,6 +152,7 @@ def build() -> list[str]:
     if not _logged(command, LOG / "build.txt", environment()):
         raise SetupError(_build_failure(changed))
     for name in changed:
+        _remove_stale(name)
         _pin_interpreter(name)
     subprocess.run([str(VENV / "bin" / "python"), "-m", "compileall", "-q", *_site_packages(changed)], env=environment(), check=False)
     for root, state in ((_installed_packages(), "numba_install.json"), ((p for p in SRC.glob("*/riins_*") if p.is_dir()), "numba_src.json")):
@@ -207,10 +197,11 @@ def main(arguments: Sequence[str]) -> int:
         if sys.version_info[:2] not in SUPPORTED:
             check_python()
         LOG.mkdir(exist_ok=True)
-        made = make_environment()
-        changed = build()
-        if list(arguments) != ["build"]:
-            warm_up()
+        with _alone():
+            made = make_environment()
+            changed = build()
+            if list(arguments) != ["build"]:
+                warm_up()
         if not made and not changed:
             say("up to date")
     except SetupError as error:
@@ -223,6 +214,18 @@ def main(arguments: Sequence[str]) -> int:
         print("setup: interrupted; run make again to go on", file=sys.stderr)
         return 130
     return 0
+
+
+@contextlib.contextmanager
+def _alone() -> Iterator[None]:
+    """One set-up at a time."""
+    with (LOG / "setup.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("another make is at work here, waiting for it")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _venv_version() -> str:
@@ -307,19 +310,16 @@ def _installed_packages() -> Iterable[Path]:
 
 
 def _remove_stale(name: str) -> None:
-    """Remove what setuptools would leave behind of deleted or renamed files; cached kernels of files that stay are kept."""
-    if not (SRC / name / "setup.py").is_file():
+    """Remove what setuptools left behind of deleted or renamed files; kernels cached beside files that stay are kept."""
+    log = BUILD / name / "install.log"
+    if not log.is_file():
         return
-    shutil.rmtree(BUILD / name, ignore_errors=True)
-    for folder in ("launch", "config", "scenarios"):
-        shutil.rmtree(INSTALL / name / "share" / name / folder, ignore_errors=True)
-    for site in INSTALL.glob(f"{name}/lib/python*/site-packages"):
-        for old in site.glob("*.egg-info"):
-            shutil.rmtree(old, ignore_errors=True)
-        for file in (site / name).rglob("*"):
-            if file.is_file() and file.parent.name != "__pycache__" and not (SRC / name / file.relative_to(site)).is_file():
+    kept = set(log.read_text(encoding="utf-8").splitlines())
+    for pattern in ("lib/python*/site-packages/riins_*/**/*", f"lib/{name}/*", f"share/{name}/*/*"):
+        for file in (INSTALL / name).glob(pattern):
+            ours = "__pycache__" not in file.parts and file.parent.name not in ("hook", "environment")
+            if ours and file.is_file() and str(file) not in kept:
                 file.unlink()
-    shutil.rmtree(INSTALL / name / "lib" / name, ignore_errors=True)
 
 
 def _pin_interpreter(name: str) -> None:

@@ -19,7 +19,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BUILD, SRC, LOG = ROOT / "build", ROOT / "src", ROOT / "log"
 SYSTEM_RESULTS = BUILD / "system_tests.xml"
-RESULT_LINE = re.compile(r"^build/(?P<package>[^/]+)/\S+\.xml: (?P<tests>\d+) tests?, (?P<errors>\d+) errors?, (?P<failures>\d+) failures?, (?P<skipped>\d+) skipped")
+RESULT_LINE = re.compile(
+    r"^build/(?P<package>[^/]+)/\S+\.xml: (?P<tests>\d+) tests?, (?P<errors>\d+) errors?, (?P<failures>\d+) failures?, (?P<skipped>\d+) skipped"
+)
 
 
 @dataclass
@@ -39,7 +41,7 @@ class Sum:
 
 def lint(total: Sum) -> None:
     """Ruff over everything and mypy over the packages; each counts as one test."""
-    for name, command in (("ruff", ["ruff", "check", "--quiet", "."]), ("mypy", ["mypy"])):
+    for name, command in (("ruff", ["ruff", "check", "--quiet", "--output-format", "concise", "."]), ("mypy", ["mypy"])):
         heading(name)
         good = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, check=False).returncode == 0
         total.add(1, 0 if good else 1, 0)
@@ -52,13 +54,20 @@ def packages(total: Sum) -> None:
     for old in (*BUILD.glob("*/pytest.xml"), *BUILD.glob("*/test_results/**/*.xml")):
         old.unlink()
     colcon = [sys.executable, "-m", "colcon"]
-    command = [*colcon, "test", "--base-paths", "src", "--packages-select", *names, "--event-handlers", "console_direct-", "console_start_end-"]
+    command = [*colcon, "test", "--base-paths", "src", "--packages-select", *names, "--event-handlers", "console_direct-", "console_start_end+"]
     # Without the package's directory on the path, its tests import what is installed, kernels' cache and all.
     env = {**os.environ, "PYTHONSAFEPATH": "1"}
     with (LOG / "test.txt").open("w", encoding="utf-8") as stream:
-        process = subprocess.Popen(command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        assert process.stdout is not None
+        for line in process.stdout:
+            stream.write(line)
+            if line.startswith(("Finished", "Failed")):
+                print(line.rstrip(), flush=True)
         status = process.wait()
-    said = subprocess.run([*colcon, "test-result", "--all", "--test-result-base", "build"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    said = subprocess.run(
+        [*colcon, "test-result", "--all", "--test-result-base", "build"], cwd=ROOT, capture_output=True, text=True, check=False
+    ).stdout
     counted = {name: Sum() for name in names}
     for line in said.splitlines():
         if (match := RESULT_LINE.match(line)) and match["package"] in counted:
