@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_bag.bag import BagReader
+from riins_core.earth import radii
 from riins_core.frames import wrap_longitude
 from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3, log_so3
 from riins_node.readings import read_fault, to_ns
@@ -23,7 +24,7 @@ from riins_sim.faults import Fault, FaultType
 from .lane import fault_intervals, judged_arrays
 from .metrics import NEES7
 from .recording import ORACLE_TOPIC, RAW_IMU, TWIN_TOPIC
-from .run_configuration import RecordError, RunConfiguration, read_configuration
+from .run_configuration import RecordError, RunConfiguration, holds, read_configuration
 from .run_record import HealthChange, RunRecord, Samples, SensorUse, Stamps, Track
 
 Floats = NDArray[np.float64]
@@ -63,7 +64,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
         It cannot be read.
     """
     with BagReader(bag) as reader:
-        if "/nav/settled" not in reader.topics or not reader.topics["/nav/settled"].count:
+        if not holds(reader, "/nav/settled"):
             cure = "; make one with `riins navigate`" if RAW_IMU in reader.topics else ""
             raise RecordError(f"{bag} has no /nav/settled: there is no navigation in it to score{cure}")
         configuration = read_configuration(reader)
@@ -86,7 +87,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
         )  # fmt: skip
         for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
-            if topic in reader.topics and reader.topics[topic].count:
+            if holds(reader, topic):
                 setattr(record, name, _at_stamps(_track(reader.columns(topic, _STATE))[0], settled.stamp_ns))
     if record.twin is None and twins is not False:
         _sail_twins(record, configuration, faults, twins, progress)
@@ -97,14 +98,14 @@ def run_start(reader: BagReader, configuration: RunConfiguration, settled: Track
     """Stamp of sample 0 of a run: as configured, else of the first initial state, else of the first settled epoch."""
     if configuration.start_at_ns:
         return configuration.start_at_ns
-    if "/nav/initial_state" in reader.topics and reader.topics["/nav/initial_state"].count:
+    if holds(reader, "/nav/initial_state"):
         return int(reader.columns("/nav/initial_state", ("header.stamp",))["header.stamp"][0])
     return int(settled.stamp_ns[0]) if settled is not None and len(settled) else reader.start_ns
 
 
 def read_reference(reader: BagReader) -> Track:
     """The true states of a bag in order of stamps, empty when it has none."""
-    if "/truth/state" not in reader.topics or not reader.topics["/truth/state"].count:
+    if not holds(reader, "/truth/state"):
         return Track.empty()
     return _track(reader.columns("/truth/state", _STATE))[0]
 
@@ -140,11 +141,8 @@ def reference_at(reference: Track, stamp_ns: Stamps) -> Track:
     def cubic(start: Floats, change: Floats, scale: Floats, v_a: Floats, v_b: Floats) -> Floats:
         return np.asarray(start * (h00 + h01) + h01 * change + step * scale * (h10 * v_a + h11 * v_b))
 
-    distance = np.hypot(a.v_n[:, 0], a.v_n[:, 1]) * step
-    north = np.where(distance > 0.0, (b.lat - a.lat) / np.where(distance > 0.0, step * 0.5 * (a.v_n[:, 0] + b.v_n[:, 0]), 1.0), 0.0)
-    east = np.where(distance > 0.0, d_lon / np.where(distance > 0.0, step * 0.5 * (a.v_n[:, 1] + b.v_n[:, 1]), 1.0), 0.0)
-    per_north = np.where((north > 1.4e-7) & (north < 1.7e-7), north, 1.57e-7)  # rad per metre
-    per_east = np.where(np.isfinite(east) & (np.abs(east * np.cos(a.lat) - 1.57e-7) < 0.1e-7), east, 1.57e-7 / np.cos(a.lat))
+    r_m, r_n = radii(a.lat)
+    per_north, per_east = 1.0 / (r_m + a.h), 1.0 / ((r_n + a.h) * np.cos(a.lat))  # rad per metre
     lat = cubic(a.lat, b.lat - a.lat, per_north, a.v_n[:, 0], b.v_n[:, 0])
     lon = cubic(a.lon, d_lon, per_east, a.v_n[:, 1], b.v_n[:, 1])
     h = cubic(a.h, b.h - a.h, np.full(m, -1.0), a.v_n[:, 2], b.v_n[:, 2])
@@ -206,7 +204,7 @@ def _at_stamps(track: Track, stamp_ns: Stamps) -> Track | None:
 
 
 def _covariance(reader: BagReader, settled: Track) -> Floats | None:
-    if "/nav/covariance" not in reader.topics or not reader.topics["/nav/covariance"].count:
+    if not holds(reader, "/nav/covariance"):
         return None
     columns = reader.columns("/nav/covariance", ("header.stamp", "covariance"))
     flat, stamps = columns["covariance"], columns["header.stamp"]
@@ -241,7 +239,7 @@ def _judged(reader: BagReader) -> dict[str, Any]:
 
 
 def _sensor_health(reader: BagReader) -> list[HealthChange]:
-    if "/fdi/status" not in reader.topics or not reader.topics["/fdi/status"].count:
+    if not holds(reader, "/fdi/status"):
         return []
     changes: list[HealthChange] = []
     for kind in ("gyro", "accel"):
@@ -268,7 +266,7 @@ def _subfilter_health(reader: BagReader) -> list[HealthChange]:
 
 
 def _sensor_use(reader: BagReader) -> SensorUse | None:
-    if "/imu/fused" not in reader.topics or not reader.topics["/imu/fused"].count:
+    if not holds(reader, "/imu/fused"):
         return None
     columns = reader.columns("/imu/fused", ("header.stamp", "gyro_used", "accel_used"))
     return SensorUse.from_samples(columns["header.stamp"].astype(np.int64), columns["gyro_used"], columns["accel_used"])
@@ -305,7 +303,7 @@ def _last(reader: BagReader, topic: str) -> list[Any]:
 def read_fixes(reader: BagReader, name: str) -> tuple[Stamps, Floats, Floats] | None:
     """Fixes of gps or bds: stamps, latitudes, longitudes [rad]; None when the bag has no such topic."""
     topic = f"/{name}/fix"
-    if topic not in reader.topics or not reader.topics[topic].count:
+    if not holds(reader, topic):
         return None
     c = reader.columns(topic, ("header.stamp", "latitude", "longitude", "status.status"))
     good = c["status.status"] >= 0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from riins_fdi.health import SUBFILTER_CODE, TRIAD_CODE, HealthState
 from riins_federated.navigator import Navigator
-from riins_federated.types import Aid, FederatedReport, Reason
+from riins_federated.types import Aid, FederatedReport, Reason, Recall
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.types import FdiEvent, FusedBlock
 
@@ -55,7 +55,7 @@ class Lane:
         """Give the aids up to the last sample, then the samples, and take out what is settled."""
         for aid in aids:
             self.navigator.add_aid(aid)
-        self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force)
+        self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force, recalls_of(block))
         self.drain()
 
     def finish(self) -> None:
@@ -125,6 +125,14 @@ class FusionLog:
     def use(self) -> SensorUse:
         """Runs of samples with the same sensors."""
         return SensorUse.concatenate(self._use)
+
+
+def recalls_of(block: FusedBlock) -> list[Recall]:
+    """What the fusion recalls at samples of a block, all sensors of a sample together, as it stands in their messages."""
+    if not block.recalls:
+        return []
+    angle, velocity, onset = block.recalled()
+    return [Recall(int(block.stamp_ns[k]), int(onset[k]), angle[k], velocity[k]) for k in np.flatnonzero(onset)]
 
 
 def join_tracks(tracks: list[Track]) -> Track:

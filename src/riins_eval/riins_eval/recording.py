@@ -115,6 +115,7 @@ class RunWriter:
         rate = _by_mask(block.gyro_used, pipeline.rate_covariance)
         force = _by_mask(block.accel_used, pipeline.force_covariance)
         drift = np.zeros(pipeline.n)
+        angle, velocity, onset = block.recalled()
         content = fields.fused_imu(
             block.stamp_ns,
             block.sequence,
@@ -126,6 +127,9 @@ class RunWriter:
             block.accel_used,
             gyro_drift=drift,
             accel_drift=drift,
+            angle_recall=angle,
+            velocity_recall=velocity,
+            recall_onset_ns=onset,
         )
         self._bag.write_block("/imu/fused", FUSED_IMU, block.stamp_ns, content)
 

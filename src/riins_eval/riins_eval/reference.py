@@ -1,6 +1,6 @@
 """The motion of a recording: its IMU, and its reference brought from its own epochs to any time with the help of that IMU.
 
-Lives here: `RecordedMotion`, which answers like riins_sim's `Trajectory`, so that simulated sensors can ride on a recording.
+Lives here: `RecordedMotion`, which answers like riins_sim's `Trajectory`, so that simulated sensors can ride on a recording; `fit_reference_lever`.
 Does not live here: files (importers.py), sensor errors and faults (riins_sim).
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core.earth import earth_rate_n, radii, transport_rate_n
-from riins_core.frames import ned_difference
+from riins_core.frames import ned_difference, ned_offset
 from riins_core.jit import jit
-from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
+from riins_core.rotation import dcm_from_euler, exp_so3, log_so3, skew
 from riins_core.strapdown import NAV_SIZE, SUMS_SIZE, strapdown_block
 from riins_sim.trajectory import Truth
 
@@ -124,24 +124,38 @@ class RecordedMotion:
             if 0.0 < second[0] - first[0] <= LONGEST_BRIDGE_S:
                 self._bridge(first, second)
 
-    def _bridge(self, first: Floats, second: Floats) -> None:
-        """Fill the samples with stamps in [t_first, t_second]."""
+    def _between(self, first: Floats, second: Floats) -> tuple[int, int, Floats, Floats] | None:
+        """Mechanize from one epoch of the reference to the next.
+
+        Returns
+        -------
+        first sample after the first epoch, first sample after the second, stamps (m,) and states (m, 16) at the samples between and at the second
+        epoch; None where the IMU does not cover the whole interval
+        """
         t0, t1 = float(first[0]), float(second[0])
         k0 = int(np.searchsorted(self._t, t0, side="right"))
         k1 = int(np.searchsorted(self._t, t1, side="right"))
-        if k0 > 0 and self._t[k0 - 1] == t0:
-            self._state[k0 - 1] = _nav(first)
-        if t0 < self._t[0] - self.dt - 1e-9 or k1 > self.samples:  # the IMU does not cover the whole interval
-            return
+        if t0 < self._t[0] - self.dt - 1e-9 or k1 > self.samples:
+            return None
         # samples k0 .. k1 cover it; the first and the last only in part
         stamps = np.concatenate([self._t[k0:k1], [t1]])
         dt = np.diff(stamps, prepend=t0)
         used = dt > 0.0
         out = np.empty((int(used.sum()), NAV_SIZE))
-        nav = _nav(first)
-        _walk(nav, self._rate[k0 : k1 + 1][used], self._force[k0 : k1 + 1][used], dt[used], out)
+        _walk(_nav(first), self._rate[k0 : k1 + 1][used], self._force[k0 : k1 + 1][used], dt[used], out)
+        return k0, k1, stamps[used], out
+
+    def _bridge(self, first: Floats, second: Floats) -> None:
+        """Fill the samples with stamps in [t_first, t_second]."""
+        k = int(np.searchsorted(self._t, first[0]))
+        if k <= self.samples and self._t[k] == first[0]:
+            self._state[k] = _nav(first)
+        found = self._between(first, second)
+        if found is None:
+            return
+        k0, k1, stamps, out = found
         end = _nav(second)
-        share = ((stamps[used] - t0) / (t1 - t0))[:, None]
+        share = ((stamps - first[0]) / (second[0] - first[0]))[:, None]
         missed = ned_difference(end[0], end[1], end[2], out[-1, 0], out[-1, 1], out[-1, 2])
         r_m, r_n = radii(end[0])
         out[:, 0] += share[:, 0] * missed[0] / (r_m + end[2])
@@ -150,8 +164,77 @@ class RecordedMotion:
         out[:, 3:6] += share * (end[3:6] - out[-1, 3:6])
         turn = log_so3(end[6:15].reshape(3, 3) @ out[-1, 6:15].reshape(3, 3).T)
         out[:, 6:15] = (exp_so3(share * turn) @ out[:, 6:15].reshape(-1, 3, 3)).reshape(-1, 9)
-        n = k1 - k0
-        self._state[k0:k1] = out[:n]
+        self._state[k0:k1] = out[: k1 - k0]
+
+    def rate_nb(self, rows: Floats) -> Floats:
+        """Body rate relative to n at rows (r, 10) of the reference, times since the origin: (r, 3), rad/s, FRD, mean over five samples."""
+        k = np.clip(np.searchsorted(self._t, rows[:, 0]), 2, self.samples - 2)
+        rate = np.mean([self._rate[k + i] for i in range(-2, 3)], axis=0)
+        w_in = earth_rate_n(rows[:, 1]) + transport_rate_n(rows[:, 1], rows[:, 3], rows[:, 4:7])
+        return np.asarray(rate - np.einsum("kij,ki->kj", dcm_from_euler(*rows[:, 7:10].T), w_in))
+
+
+def reference_at_imu(motion: RecordedMotion, reference: Floats, lever: Floats) -> Floats:
+    """A reference that holds at a point of the body, moved to the IMU.
+
+    Parameters
+    ----------
+    motion : the IMU of the piece
+    reference : (r, 10), REFERENCE_COLUMNS, clock of the recording
+    lever : (3,), of the point from the IMU, FRD, m
+
+    Returns
+    -------
+    (r, 10)
+    """
+    moved = reference.copy()
+    good = np.flatnonzero(np.isfinite(reference).all(axis=1))
+    rows = reference[good] - np.r_[motion.origin, np.zeros(9)]
+    c_nb = dcm_from_euler(*rows[:, 7:10].T)
+    lat, lon, h = ned_offset(rows[:, 1], rows[:, 2], rows[:, 3], -(c_nb @ lever))
+    moved[good, 1], moved[good, 2], moved[good, 3] = lat, lon, h
+    moved[good, 4:7] -= np.einsum("kij,kj->ki", c_nb, np.cross(motion.rate_nb(rows), lever))
+    return moved
+
+
+def fit_reference_lever(pieces: list[tuple[RecordedMotion, Floats]]) -> tuple[Floats, Floats, float, float]:
+    """Where the point of the reference lies, seen from the IMU.
+
+    Parameters
+    ----------
+    pieces : motion (of any reference) and reference (r, 10) in the recording's clock
+
+    Returns
+    -------
+    lever, sigma : (3,), FRD, m; rms of the closures in velocity before and after, m/s. All zeros where nothing can be said
+
+    Notes
+    -----
+    Mechanized from one epoch to the next the IMU misses the reference's velocity by the change of C_nb (w x l): linear in the lever arm l, which every
+    turn shows. Least squares over all intervals of at most 2 s.
+    """
+    matrices: list[Floats] = []
+    misses: list[Floats] = []
+    for motion, reference in pieces:
+        rows = reference[np.isfinite(reference).all(axis=1)] - np.r_[motion.origin, np.zeros(9)]
+        if len(rows) < 2:
+            continue
+        turns = dcm_from_euler(*rows[:, 7:10].T) @ skew(motion.rate_nb(rows))
+        for i, (first, second) in enumerate(itertools.pairwise(rows)):
+            found = motion._between(first, second) if 0.0 < second[0] - first[0] <= 2.0 else None
+            if found is not None:
+                matrices.append(turns[i + 1] - turns[i])
+                misses.append(second[4:7] - found[3][-1, 3:6])
+    if len(misses) < 10:
+        return np.zeros(3), np.zeros(3), 0.0, 0.0
+    A, z = np.concatenate(matrices), np.concatenate(misses)
+    normal = A.T @ A
+    if np.linalg.cond(normal) > 1e8:
+        return np.zeros(3), np.zeros(3), 0.0, 0.0
+    lever = np.linalg.solve(normal, A.T @ z)
+    rest = z - A @ lever
+    sigma = np.sqrt(np.mean(rest**2) * np.diag(np.linalg.inv(normal)))
+    return lever, sigma, float(np.sqrt(np.mean(z**2))), float(np.sqrt(np.mean(rest**2)))
 
 
 def _nav(row: Floats) -> Floats:

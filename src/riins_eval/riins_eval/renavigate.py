@@ -19,7 +19,7 @@ from riins_bag.bag import BagReader
 from riins_federated.error_filter import LABELS
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState
-from riins_imu_fusion.types import FusedBlock
+from riins_imu_fusion.types import FusedBlock, join
 from riins_node import readings
 
 from . import blocks
@@ -28,7 +28,7 @@ from .bag_record import read_faults, read_fixes, read_reference, reference_at, r
 from .lane import FusionLog, Lane, copy_with_state, fault_intervals, warm_up
 from .offline import RunResult, reporting_pipeline, samples
 from .recording import RAW_IMU, RunWriter
-from .run_configuration import RecordError, RunConfiguration, read_configuration, with_settings
+from .run_configuration import RecordError, RunConfiguration, holds, read_configuration, with_settings
 from .run_record import RunRecord
 
 WINDOW_NS = 10_000_000_000
@@ -85,9 +85,9 @@ def navigate(
     """
     with BagReader(bag_in) as reader:
         configuration = read_configuration(reader, overrides)
-        if RAW_IMU not in reader.topics or not reader.topics[RAW_IMU].count:
+        if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
-        if INITIAL_TOPIC not in reader.topics or not reader.topics[INITIAL_TOPIC].count:
+        if not holds(reader, INITIAL_TOPIC):
             raise RecordError(f"{bag_in} has no {INITIAL_TOPIC}: the navigator would never start")
         run = _Run(reader, configuration)
         if bag_out is None or record == "none":
@@ -106,6 +106,7 @@ class _Run:
         self.fusion = FusionLog()
         self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
         self._newest = -(2**62)
+        self.notes: list[str] = []
 
     def through(self, writer: RunWriter | None, progress: Callable[[float, float], None] | None) -> RunResult:
         """Everything, in windows of about 10 s of log time."""
@@ -165,7 +166,7 @@ class _Run:
             out.append(self.pipeline.process(
                 part.stamp_ns[piece], part.sequence[piece], part.gyro[piece, :n], part.accel[piece, :n], part.gyro_valid[piece], part.accel_valid[piece]
             ))  # fmt: skip
-        fused = out[0] if len(out) == 1 else FusedBlock(*(np.concatenate(column) for column in zip(*out, strict=True)))
+        fused = out[0] if len(out) == 1 else join(out)
         self.fusion.add(fused, self.pipeline.drain_events())
         return fused
 
@@ -176,7 +177,9 @@ class _Run:
         early: list[Aid] = []
         for log_ns, item in part.others:
             if isinstance(item, InitialState):
-                self.lane.navigator.set_initial_state(item)
+                problem = self.lane.navigator.set_initial_state(item)
+                if problem:
+                    self.notes.append(f"Initial state at {(item.stamp_ns - self.reader.start_ns) / 1e9:.1f} s refused: {problem}.")
                 continue
             before = int(np.searchsorted(part.log_ns, log_ns, side="left"))
             seen = int(newest[before - 1]) if before else self._newest
@@ -217,7 +220,7 @@ class _Run:
             n_sensors=self.pipeline.n, realtime_factor=reader.duration_s / seconds if seconds > 0.0 else None,
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
-            expect=dict(scenario.expect) if scenario else {}, notes=list(recording.get("notes", [])),
+            expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
         )  # fmt: skip
 
 

@@ -95,6 +95,11 @@ def read_configuration(reader: BagReader, overrides: Mapping[str, Any] | None = 
     )  # fmt: skip
 
 
+def holds(reader: BagReader, topic: str) -> bool:
+    """Whether a bag has at least one message of a topic."""
+    return topic in reader.topics and reader.topics[topic][1] > 0
+
+
 def with_settings(configuration: RunConfiguration) -> str:
     """The recorded text with the settings in force, for a bag that was navigated with overrides."""
     from riins_core.settings import as_mapping

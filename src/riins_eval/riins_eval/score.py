@@ -42,7 +42,7 @@ def score(record: RunRecord) -> Score:
         piece = record.between(start_ns, stop_ns)
         # the scoring window of a recording is counted from the start of each piece
         piece.scoring_from_ns = start_ns + max(0, record.scoring_from_ns - record.pieces[0][1])
-        result["pieces"].append({"name": name, **_numbers(piece)})
+        result["pieces"].append({**_numbers(piece), "name": name})
     if record.pieces:
         whole = _over_pieces(result["pieces"])
         result.update(whole)

@@ -1,0 +1,422 @@
+"""A foreign recording becomes a bag that the graph can replay: real IMU on redundant axes, real log, GNSS as recorded or simulated from the reference.
+
+Lives here: `import_npz`.
+Does not live here: reading files (npz_recording.py), motion between the epochs of the reference (reference.py), sensors and faults (riins_sim).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from riins_core.earth import radii
+from riins_core.settings import SettingError, build
+from riins_federated.types import InitialState
+from riins_sim.course import KNOT
+from riins_sim.faults import Fault, FaultSchedule, FaultSettings, Sample
+from riins_sim.initial import initial_state
+from riins_sim.scenario import Scenario
+from riins_sim.sensors import PositionBlock, PositionSim, RawBlock, RedundantImuSim, VelocityBlock
+
+from . import configure
+from .npz_recording import ImportFailure, NpzRecording, Piece, load
+from .recording import RunWriter
+from .reference import RecordedMotion, fit_reference_lever, reference_at_imu
+
+__all__ = ["ImportFailure", "import_npz"]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, float], None]
+
+EPOCH_S = 1_600_000_000
+"""A recording whose own time does not look like Unix time begins here (2020-09-13T12:26:40Z)."""
+UNIX_S = 1e9
+GAP_S = 10.0
+"""Between the pieces of a recording in the bag: longer than any max_delay, so that the run restarts, and no longer to wait for than that."""
+TRUTH_HZ = 10
+SURFACE_RANGE_M = 10.0
+"""A vehicle whose height stays within this is taken for a ship, which keeps to its mean height."""
+CHUNK = 1000
+
+DEFAULTS: dict[str, Any] = {
+    "imu": {"gyro": {"arw_deg_sqrt_h": 0.02}, "accel": {"vrw_ug_sqrt_hz": 50.0}},
+    "gps": {"period_s": 1.0, "sigma_m": [3.0, 3.0, 6.0], "velocity_sigma_mps": 0.1},
+    "bds": {"period_s": 1.0, "sigma_m": [5.0, 5.0, 10.0], "velocity_sigma_mps": 0.15},
+    "initial": {"position_m": 5.0, "height_m": 2.0, "velocity_mps": 0.1, "tilt_arcsec": 120.0, "heading_arcmin": 30.0},
+    "scoring": {"from_s": 60.0},
+}
+"""Sections of a scenario for a recording that says nothing of them. The IMU's noise is what is put on each sensor, beside the recorded one."""
+INERTIAL = {"gyro_bias_deg_h": 0.1, "gyro_markov_deg_h": 0.02, "gyro_arw_deg_sqrt_h": 0.1, "accel_bias_ug": 500.0, "accel_vrw_ug_sqrt_hz": 300.0}
+"""What the filter assumes of a recorded IMU that it does not know: navigation grade, with room for vibration and for the reference's own attitude noise."""
+LOG_FLOOR_MPS = 0.05
+"""A log states its white noise; mounting, sound speed and current make errors that last, and the filter has no state for those."""
+
+
+def import_npz(
+    path: str | Path,
+    out: str | Path,
+    seed: int = 1,
+    noise: bool = True,
+    faults: str | Path | Sequence[Mapping[str, Any]] | None = None,
+    options: Mapping[str, Any] | None = None,
+    reference_lever_m: Sequence[float] | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Make a bag of a recording in the common .npz layout.
+
+    Parameters
+    ----------
+    path : .npz file, see npz_recording.load
+    out : bag directory to make
+    seed : of sensor noise, simulated GNSS and initial errors
+    noise : white noise on each of the redundant sensors; without it all sensors agree to the last bit and parity is exactly zero
+    faults : as in a scenario, times counted from the start of each piece: YAML file with a list, or the list
+    options : sections of a scenario that replace DEFAULTS (imu, gps, bds, doppler, initial, outages, scoring, navigator, fusion, expect)
+    reference_lever_m : (3,), of the reference's point from the IMU, FRD; None: found from the recording itself, where its turns show it
+    progress : called with (recorded seconds done, seconds in all)
+
+    Returns
+    -------
+    list of sentences: what became of what
+
+    Raises
+    ------
+    ImportFailure
+        The recording, the faults or the options cannot be used.
+    BagError
+        The bag cannot be written.
+    """
+    recording, lever_note = _at_imu(load(path), reference_lever_m)
+    scenario = _scenario(recording, seed, noise, _faults(faults), dict(options or {}))
+    placed = _place(recording)
+    notes = [*_notes(recording, scenario, placed, noise), *lever_note]
+    total, done = sum(p.motion.duration for p in placed), 0.0
+    with RunWriter(out, "raw") as writer:
+        writer.configuration(_configuration(recording, scenario, placed, notes), placed[0].start_ns)
+        for piece in placed:
+            _write_piece(writer, recording, scenario, piece)
+            done += piece.motion.duration
+            if progress is not None:
+                progress(done, total)
+    return [f"{recording.path.name}: {len(placed)} pieces, {total:.0f} s at {recording.rate_hz} Hz", *notes]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Placed:
+    """A piece and its place in the bag.
+
+    Attributes
+    ----------
+    piece : as recorded
+    motion : from its sample 0 on, which is the first with a reference
+    used : index of the recorded samples from sample 0 on
+    start_ns : stamp of sample 0
+    seed_offset : so that each piece has noise of its own
+    """
+
+    piece: Piece
+    motion: RecordedMotion
+    used: slice
+    start_ns: int
+    seed_offset: int
+
+    @property
+    def has_reference(self) -> bool:
+        return self.motion.known[1] > self.motion.known[0]
+
+    def stamps(self, t: Floats) -> NDArray[np.int64]:
+        """Stamps in the bag of recorded times."""
+        return np.asarray(self.start_ns + np.round((t - self.motion.origin) * 1e9).astype(np.int64))
+
+
+def _at_imu(recording: NpzRecording, given: Sequence[float] | None) -> tuple[NpzRecording, list[str]]:
+    """The recording with its reference, and the lever arm of its log, moved to the IMU, which is base_link; and what to say of it."""
+    dt = 1.0 / recording.rate_hz
+    motions = [RecordedMotion(p.t, p.rate, p.force, np.zeros((0, 10)), dt) for p in recording.pieces]
+    if given is not None:
+        lever = np.array(given, dtype=np.float64)
+        if lever.shape != (3,) or not np.isfinite(lever).all():
+            raise ImportFailure("reference_lever_m must be three numbers: forward, starboard, down")
+        words = "as given"
+    else:
+        lever, sigma, before, after = fit_reference_lever([(m, p.reference) for m, p in zip(motions, recording.pieces, strict=True)])
+        # a wrong lever arm is worse than none: it must be seen clearly and explain most of what does not close
+        if not (np.linalg.norm(lever) > max(5.0 * np.linalg.norm(sigma), 0.05) and after < 0.5 * before):
+            return recording, []
+        words = f"found from its turns: velocity over an epoch then closes to {1e3 * after:.1f} mm/s instead of {1e3 * before:.1f}"
+    if not lever.any():
+        return recording, []
+    pieces = [
+        dataclasses.replace(p, reference=reference_at_imu(m, p.reference, lever)) if len(p.reference) else p
+        for m, p in zip(motions, recording.pieces, strict=True)
+    ]
+    log_lever = recording.log_lever + lever if recording.log_lever is not None else None
+    place = ", ".join(f"{v:+.2f}" for v in lever)
+    note = f"The reference holds at a point {place} m (forward, starboard, down) from the IMU ({words}); it and the log's lever arm are moved to the IMU."
+    return dataclasses.replace(recording, pieces=pieces, log_lever=log_lever), [note]
+
+
+def _place(recording: NpzRecording) -> list[_Placed]:
+    placed: list[_Placed] = []
+    dt = 1.0 / recording.rate_hz
+    for number, piece in enumerate(recording.pieces):
+        complete = piece.reference[np.isfinite(piece.reference).all(axis=1), 0]
+        covered = complete[complete >= piece.t[0] - dt]  # between an epoch before the IMU and the next nobody knows the motion
+        first = int(np.searchsorted(piece.t, covered[0])) if len(covered) > 1 else 0
+        if len(complete) > 1 and (len(covered) < 2 or first > len(piece.t) - 2):
+            raise ImportFailure(f"{recording.path.name}: the reference of piece {piece.name} does not overlap its IMU")
+        used = slice(first, None)
+        motion = RecordedMotion(piece.t[used], piece.rate[used], piece.force[used], piece.reference, dt)
+        if placed:
+            start = placed[-1].start_ns + round((placed[-1].motion.duration + GAP_S) * 1e9)
+        else:
+            start = round(piece.t[first] * 1e9) if piece.t[first] > UNIX_S else EPOCH_S * 1_000_000_000
+        placed.append(_Placed(piece, motion, used, start, number))
+    return placed
+
+
+def _scenario(recording: NpzRecording, seed: int, noise: bool, faults: list[dict[str, Any]], options: dict[str, Any]) -> Scenario:
+    """The settings of the import in the form of a scenario, so that everything that reads one reads them."""
+    height = [p.reference[:, 3] for p in recording.pieces]
+    known = np.concatenate(height)[np.isfinite(np.concatenate(height))]
+    surface = recording.reference_range_m() <= SURFACE_RANGE_M
+    reference = any(np.isfinite(p.reference).all(axis=1).sum() > 1 for p in recording.pieces)
+    gnss = any(len(p.gnss) for p in recording.pieces)
+    log = any(len(p.log_t) for p in recording.pieces)
+    first = next((p.reference[np.isfinite(p.reference).all(axis=1)][0] for p in recording.pieces if np.isfinite(p.reference).all(axis=1).any()), np.zeros(10))
+    sigma = recording.log_sigma if recording.log_sigma is not None else np.full(3, 0.05)
+    lever = recording.log_lever if recording.log_lever is not None else np.zeros(3)
+    times = np.concatenate([p.log_t[:-1] for p in recording.pieces if len(p.log_t) > 1] or [np.zeros(0)])
+    steps = np.concatenate([np.diff(p.log_t) for p in recording.pieces if len(p.log_t) > 1] or [np.ones(1)])
+    own = configure.merged(DEFAULTS, {
+        "name": "".join(c if c.isalnum() or c in "_-" else "_" for c in recording.path.stem) or "recording",
+        "description": f"Recording {recording.path.name}.",
+        "seed": seed,
+        "duration_s": max(1.0, *(float(p.t[-1] - p.t[0]) for p in recording.pieces)),
+        "imu_rate_hz": recording.rate_hz,
+        "start": {"latitude_deg": float(np.degrees(first[1])), "longitude_deg": float(np.degrees(first[2])),
+                  "height_m": float(np.mean(known)) if len(known) else 0.0},
+        "doppler": {"enabled": log, "period_s": float(np.median(steps)) if len(times) else 1.0, "sigma_kn": (sigma / KNOT).tolist(),
+                    "misalignment_deg": 0.25, "lever_arm_m": lever.tolist()},
+        "gps": {"enabled": gnss or reference},
+        "bds": {"enabled": reference},
+        "navigator": {
+            "inertial": INERTIAL,
+            "height": {"enabled": surface},
+            "gps": {"use_height": not surface},
+            "bds": {"use_height": not surface},
+            "doppler": {"use_down": not surface, "sigma_floor_mps": LOG_FLOOR_MPS},
+        },
+        "faults": faults,
+    })  # fmt: skip
+    if gnss and recording.gnss_sigma is not None:
+        own["gps"] = configure.merged(own["gps"], {"sigma_m": recording.gnss_sigma[:3].tolist(), "velocity_sigma_mps": float(recording.gnss_sigma[3])})
+    values = configure.merged(own, options)
+    if not noise:
+        values = configure.merged(values, {"imu": {"gyro": {"arw_deg_sqrt_h": 0.0}, "accel": {"vrw_ug_sqrt_hz": 0.0}}})
+    try:
+        scenario = build(Scenario, values)
+        configure.fusion_config(scenario)
+        configure.navigator_config(scenario)
+    except SettingError as error:
+        raise ImportFailure(f"settings of the import: {error}") from None
+    if scenario.initial.self_aligned:
+        raise ImportFailure("settings of the import: initial.self_aligned needs simulated sensors, whose biases are known")
+    return scenario
+
+
+def _faults(given: str | Path | Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
+    if given is None:
+        return []
+    where = "faults"
+    if isinstance(given, str | Path):
+        where = str(given)
+        try:
+            given = yaml.safe_load(Path(given).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise ImportFailure(f"{where}: cannot be read: {error.strerror if isinstance(error, OSError) else error}") from None
+        except yaml.YAMLError as error:
+            raise ImportFailure(f"{where}: {' '.join(str(error).split())}") from None
+        if isinstance(given, Mapping) and set(given) == {"faults"}:
+            given = given["faults"]
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise ImportFailure(f"{where}: a list of faults is wanted, each like {{target: gps, type: step, size_m: 60, start_s: 100, end_s: 200}}")
+    for number, entry in enumerate(given):
+        try:
+            build(FaultSettings, entry)
+        except SettingError as error:
+            raise ImportFailure(f"{where}: fault {number + 1}: {error}") from None
+    return [dict(entry) for entry in given]
+
+
+def _write_piece(writer: RunWriter, recording: NpzRecording, scenario: Scenario, placed: _Placed) -> None:
+    motion = placed.motion
+    duration_ns = round(motion.duration * 1e9) + 1
+    # each piece has its own noise; the scenario's times count from the start of each piece
+    local = dataclasses.replace(scenario, seed=(scenario.seed * 1009 + placed.seed_offset) % 2**31, duration_s=max(1.0, motion.duration))
+    faults = [_ended(f, duration_ns) for f in local.fault_schedule().faults if f.start_ns < duration_ns]
+    schedule = FaultSchedule(faults, local.seed)
+    if faults:
+        writer.faults(placed.start_ns, faults, placed.start_ns, f"piece {placed.piece.name}")
+    if placed.has_reference:
+        writer.initial_state(_initial(local, placed))
+        _write_truth(writer, placed)
+    for name in ("gps", "bds"):
+        if name == "gps" and len(placed.piece.gnss):
+            _write_recorded_gps(writer, recording, local, placed, schedule)
+        elif getattr(local, name).enabled and placed.has_reference:
+            _write_simulated_fixes(writer, local, placed, schedule, name)
+    if local.doppler.enabled and len(placed.piece.log_t):
+        _write_log(writer, local, placed, schedule)
+    _write_imu(writer, local, placed, schedule)
+
+
+def _write_imu(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule: FaultSchedule) -> None:
+    """The recorded IMU seen by the redundant sensors; sample 0 is the origin and is not written."""
+    motion = placed.motion
+    sensors = RedundantImuSim(scenario, motion)  # type: ignore[arg-type]  # it moves as a Trajectory does
+    stamps = placed.stamps(placed.piece.t[placed.used])
+    number = motion.number
+    for a in range(1, len(number), CHUNK):
+        b = min(a + CHUNK, len(number))
+        k0, k1 = int(number[a]), int(number[b - 1])
+        block = sensors.block(k0, k1 - k0 + 1, schedule)
+        rows = number[a:b] - k0
+        present = RawBlock(*(getattr(block, f.name)[rows] for f in dataclasses.fields(RawBlock)))
+        writer.raw_imu(stamps[a:b], (number[a:b] & 0xFFFFFFFF).astype(np.uint32), present)
+
+
+def _write_truth(writer: RunWriter, placed: _Placed) -> None:
+    motion = placed.motion
+    step = max(1, round(1.0 / (motion.dt * TRUTH_HZ)))
+    k = np.arange(0, motion.samples + 1, step)
+    times = motion.times(k)
+    writer.truth(placed.start_ns + np.round(times * 1e9).astype(np.int64), motion.truth(times))
+
+
+def _write_simulated_fixes(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule: FaultSchedule, name: str) -> None:
+    receiver = PositionSim(scenario, name, placed.motion)  # type: ignore[arg-type]
+    period = receiver.period_ns * 1e-9
+    first = max(1, int(np.ceil(placed.motion.known[0] / period - 1e-9)))
+    last = min(receiver.samples, int(np.floor(placed.motion.known[1] / period + 1e-9)))
+    if last >= first:
+        block = receiver.block(first, last - first + 1, schedule)
+        good = np.isfinite(block.lat)
+        block = dataclasses.replace(
+            block, **{f: getattr(block, f)[good] for f in ("k", "stamp_ns", "lat", "lon", "h", "has_fix", "v_n")}
+        )
+        writer.position(name, placed.start_ns + block.stamp_ns, block)
+
+
+def _write_recorded_gps(writer: RunWriter, recording: NpzRecording, scenario: Scenario, placed: _Placed, schedule: FaultSchedule) -> None:
+    gnss = placed.piece.gnss[_within(placed, placed.piece.gnss[:, 0])]
+    if not len(gnss):
+        return
+    stamps = placed.stamps(gnss[:, 0]) - placed.start_ns
+    place = gnss[:, 1:4].copy()
+    sigma = recording.gnss_sigma if recording.gnss_sigma is not None else np.zeros(6)
+    lat = float(np.nanmedian(place[:, 0])) if np.isfinite(place[:, 0]).any() else 0.0
+    r_m, r_n = (float(r) for r in radii(lat))
+    per_metre = np.tile([1.0 / r_m, 1.0 / (r_n * np.cos(lat)), -1.0], (len(gnss), 1))
+    has_fix = _outages(scenario, "gps", stamps) & np.isfinite(place).all(axis=1)
+    has_fix &= schedule.apply_aid("gps", stamps, 1, place, lambda t: _before(t, stamps, gnss[:, 1:4], per_metre), per_metre)
+    block = PositionBlock(
+        np.arange(1, len(gnss) + 1), stamps, place[:, 0], place[:, 1], place[:, 2], np.diag(sigma[:3] ** 2), has_fix, gnss[:, 4:7], np.diag(sigma[3:] ** 2)
+    )
+    writer.position("gps", placed.start_ns + stamps, block)
+
+
+def _write_log(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule: FaultSchedule) -> None:
+    inside = _within(placed, placed.piece.log_t)
+    stamps = placed.stamps(placed.piece.log_t[inside]) - placed.start_ns
+    if not len(stamps):
+        return
+    recorded = placed.piece.log_v[inside]
+    v_b = recorded.copy()
+    valid = _outages(scenario, "doppler", stamps)
+    valid &= schedule.apply_aid("doppler", stamps, 1, v_b, lambda t: _before(t, stamps, recorded))
+    covariance = np.diag((np.array(scenario.doppler.sigma_kn) * KNOT) ** 2)
+    writer.log(placed.start_ns + stamps, VelocityBlock(np.arange(1, len(stamps) + 1), stamps, v_b, covariance, valid))
+
+
+def _within(placed: _Placed, t: Floats) -> NDArray[np.bool_]:
+    """Measurements after sample 0 and not after the last IMU sample: nothing else can be judged."""
+    last = float(placed.piece.t[-1])
+    return np.asarray((t > placed.motion.origin) & (t <= last + 1e-9))
+
+
+def _outages(scenario: Scenario, name: str, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    nothing = Sample(0, 0, np.zeros(3))
+    return np.asarray(scenario.outage_schedule().only([name]).apply_aid(name, stamps, 1, np.zeros((len(stamps), 3)), lambda _: nothing))
+
+
+def _before(stamp_ns: int, stamps: NDArray[np.int64], values: Floats, per_metre: Floats | None = None) -> Any:
+    k = max(int(np.searchsorted(stamps, stamp_ns)) - 1, 0)
+    return Sample(int(stamps[k]), k + 1, values[k]) if per_metre is None else Sample(int(stamps[k]), k + 1, values[k], per_metre[k])
+
+
+def _initial(scenario: Scenario, placed: _Placed) -> InitialState:
+    """State at sample 0 from the reference, with errors drawn by seed; of the real biases nothing is known."""
+    drawn = initial_state(scenario, placed.motion)  # type: ignore[arg-type]
+    return InitialState(
+        placed.start_ns, drawn.lat, drawn.lon, drawn.h, drawn.v_n, drawn.rph, drawn.sigma_position, drawn.sigma_velocity, drawn.sigma_attitude,
+        source="reference",
+    )  # fmt: skip
+
+
+def _ended(fault: Fault, duration_ns: int) -> Fault:
+    return dataclasses.replace(fault, end_ns=duration_ns if fault.end_ns is None else min(fault.end_ns, duration_ns))
+
+
+def _configuration(recording: NpzRecording, scenario: Scenario, placed: list[_Placed], notes: list[str]) -> str:
+    content = dict(yaml.safe_load(configure.configuration_text(scenario, placed[0].start_ns)))
+    content["recording"] = {
+        "file": recording.path.name,
+        "imu_values": recording.kind or "taken as means over the sample interval; the recording does not say",
+        "simulated": _simulated(recording, scenario),
+        "pieces": [
+            {"name": p.piece.name, "start_ns": p.start_ns, "stop_ns": int(p.stamps(p.piece.t[-1:])[0]), "recorded_start_s": float(p.motion.origin)}
+            for p in placed
+        ],
+        "notes": notes,
+    }
+    return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=150))
+
+
+def _simulated(recording: NpzRecording, scenario: Scenario) -> list[str]:
+    recorded = any(len(p.gnss) for p in recording.pieces)
+    return [name for name in ("gps", "bds") if getattr(scenario, name).enabled and not (name == "gps" and recorded)]
+
+
+def _notes(recording: NpzRecording, scenario: Scenario, placed: list[_Placed], noise: bool) -> list[str]:
+    n = 2 * len(configure.fusion_config(scenario).array().H)
+    names = {"gps": "GPS", "bds": "BDS"}
+    notes = [f"IMU: real, projected on {n} axes ({scenario.imu.configuration})" + (
+        f" with white noise of {scenario.imu.gyro.arw_deg_sqrt_h:g} deg/sqrt(h) and {scenario.imu.accel.vrw_ug_sqrt_hz:g} ug/sqrt(Hz) put on each sensor."
+        if noise else " without noise of their own: the sensors agree exactly, parity is zero."
+    )]  # fmt: skip
+    if not recording.kind:
+        notes.append("The recording does not say whether IMU values are means over the interval or instantaneous: they are taken as means.")
+    if scenario.doppler.enabled:
+        outside = sum(int((~_within(p, p.piece.log_t)).sum()) for p in placed)
+        notes.append("Doppler log: as recorded" + (f"; {outside} measurements outside the IMU's time are left out." if outside else "."))
+    for name in ("gps", "bds"):
+        if name in _simulated(recording, scenario):
+            sigma = ", ".join(f"{s:g}" for s in getattr(scenario, name).sigma_m)
+            notes.append(f"{names[name]}: SIMULATED from the reference with white errors of {sigma} m (north, east, down).")
+    if not any(p.has_reference for p in placed):
+        notes.append("There is no reference: no truth and no initial state; give one with SetInitialState.")
+    else:
+        notes.append("Truth: the recording's reference, brought to 10 Hz by the IMU between its epochs; a score is a distance to it, not an accuracy.")
+    cut = sum(int(p.used.start or 0) for p in placed)
+    if cut:
+        notes.append(f"{cut} IMU samples before the reference begins are left out.")
+    if len(placed) > 1:
+        notes.append(f"The pieces follow each other with gaps of {GAP_S:g} s, at which the run restarts.")
+    return notes

@@ -1,0 +1,277 @@
+"""A short voyage offline: twins, recording, score from the bag, navigating the bag again; equal to the bit where the same samples go in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from riins_bag.bag import BagReader, BagWriter, message, serialize
+from riins_core.settings import SettingError
+from riins_eval import bag_record, metrics, offline
+from riins_eval.lane import size_text
+from riins_eval.run_configuration import RecordError
+from riins_eval.run_record import Track
+from riins_eval.score import score, score_bag, verdict
+from riins_sim.faults import FaultSchedule
+from riins_sim.scenario import from_yaml
+
+VOYAGE = """
+name: short
+description: A minute with a lying GPS and a gyro that steps away.
+duration_s: 60
+start: {latitude_deg: 40, longitude_deg: 121, speed_kn: 8, heading_deg: 30}
+legs: [{straight_s: 20}, {turn_deg: 40, rate_deg_s: 2}]
+sea: {significant_wave_height_m: 1.0, peak_period_s: 6}
+imu: {gyro: {constant_drift_deg_h: 0.02, arw_deg_sqrt_h: 0.003}, accel: {bias_ug: 50, vrw_ug_sqrt_hz: 15}}
+gps: {period_s: 1, sigma_m: [2, 2, 4], lever_arm_m: [-5, 1, -8]}
+bds: {period_s: 2, sigma_m: [4, 4, 8]}
+doppler: {period_s: 1, lever_arm_m: [10, 0, 2], misalignment_deg: 0.1}
+initial: {position_m: 3, tilt_arcsec: 20, heading_arcmin: 3}
+faults:
+  - {target: gps, type: step, axis: north, size_m: 80, start_s: 25, end_s: 35}
+  - {target: gyro_4, type: step, size_deg_h: 200, start_s: 20, end_s: 40}
+outages: [{target: bds, start_s: 10, end_s: 14}]
+scoring: {from_s: 10}
+expect: {isolated: [gps, gyro_4], false_isolations: {max: 0}, position_rms_m: {max: 6}}
+"""
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return from_yaml(VOYAGE)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return tmp_path_factory.mktemp("offline") / "short"
+
+
+@pytest.fixture(scope="module")
+def run(scenario, bag):
+    return offline.sail(scenario, bag=bag, record="all")
+
+
+def equal(a: Track, b: Track) -> bool:
+    """Bit for bit."""
+    return all(np.array_equal(getattr(a, f), getattr(b, f)) for f in ("stamp_ns", "lat", "lon", "h", "v_n", "rph"))
+
+
+def near(a, b, where: str = "") -> list[str]:
+    """Places at which two JSON values differ by more than 1e-6."""
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return [place for key in a for place in near(a[key], b[key], f"{where}.{key}")]
+    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        return [place for i, (x, y) in enumerate(zip(a, b, strict=True)) for place in near(x, y, f"{where}[{i}]")]
+    if isinstance(a, float) and isinstance(b, float):
+        return [] if a == pytest.approx(b, rel=1e-6, abs=1e-9) else [f"{where}: {a} {b}"]
+    return [] if a == b and type(a) is type(b) else [f"{where}: {a} {b}"]
+
+
+def test_the_voyage_is_scored(run):
+    result = run.score
+    assert verdict(result, run.expect) == []
+    assert result["samples"] == {"received": 6000, "lost": 0, "late": 0, "rejected": 2}  # two fixes of BDS in its outage
+    step, spoof = result["faults"]
+    assert (step["target"], step["detected"], step["epochs_fused"]) == ("gyro_4", True, 0) and step["delay_s"] < 0.5
+    assert (spoof["target"], spoof["delay_s"], spoof["epochs_fused"]) == ("gps", 0.0, 0)
+    assert 0.3 < result["nis_per_dof"]["doppler"] < 2.0
+    assert 0.5 < result["oracle_ratio"]["position"] < 2.0
+    assert 0.0 < result["twin_deviation_max_m"] < 5.0
+    assert result["realtime_factor"] > 1.0
+    assert len(run.record.settled) == 60 and np.isfinite(run.record.truth.lat).all()
+
+
+def test_the_twin_is_the_voyage_without_faults_and_the_oracle_never_sees_them(run, scenario):
+    import dataclasses
+
+    clean = offline.sail(dataclasses.replace(scenario, faults=()), twins=True)
+    assert equal(clean.record.settled, run.record.twin)
+    assert clean.score["twin_deviation_max_m"] == 0.0
+    assert clean.score["oracle_ratio"] == {"position": 1.0, "velocity": 1.0, "heading": 1.0}
+    before = run.record.settled.stamp_ns < run.record.faults[0].start_ns
+    assert equal(run.record.settled.take(before), run.record.oracle.take(before))
+    # with the GPS silent in the same 10 s and the gyro flagged, an honest run is the oracle
+    assert np.abs(metrics.position_error(run.record.oracle, run.record.twin)).max() < 3.0
+    assert not equal(run.record.oracle, run.record.twin)
+
+
+def test_without_twins_their_numbers_are_null_and_nothing_else_changes(run, scenario):
+    alone = offline.sail(scenario, twins=False)
+    assert equal(alone.record.settled, run.record.settled)
+    assert alone.score["twin_deviation_max_m"] is None and alone.score["oracle_ratio"]["position"] is None
+    other = offline.sail(scenario, seed=5, twins=False)
+    assert not np.array_equal(other.record.settled.lat, run.record.settled.lat)
+
+
+def test_the_block_length_does_not_matter(run, scenario, monkeypatch):
+    monkeypatch.setattr(offline, "CHUNK_S", 3.7)
+    assert equal(offline.sail(scenario, twins=False).record.settled, run.record.settled)
+
+
+def test_the_bag_gives_the_same_score(run, bag):
+    again = score_bag(bag)
+    assert near({**again, "realtime_factor": None}, {**run.score, "realtime_factor": None}) == []
+    record = bag_record.read_record(bag)
+    assert [(c.stamp_ns, c.target, c.state, c.reason) for c in record.health] == [(c.stamp_ns, c.target, c.state, c.reason) for c in run.record.health]
+    assert metrics.horizontal_distance(record.settled, run.record.settled).max() < 1e-6
+    assert record.expect == run.expect and record.origin_ns == offline.START_NS
+
+
+def test_navigating_the_bag_again_is_equal_to_the_bit(run, bag, tmp_path):
+    again = offline.navigate(bag, tmp_path / "again")
+    assert equal(again.record.settled, run.record.settled)
+    assert np.array_equal(again.record.covariance, run.record.covariance)
+    assert [(c.stamp_ns, c.target, c.state) for c in again.record.health] == [(c.stamp_ns, c.target, c.state) for c in run.record.health]
+    assert again.score["samples"] == run.score["samples"]
+    assert again.score["faults"][0]["epochs_fused"] == 0
+    alone = score_bag(tmp_path / "again")  # what was copied is enough to score it alone; the twins are sailed again from its scenario
+    assert alone["position_rms_m"] == pytest.approx(run.score["position_rms_m"])
+    assert alone["oracle_ratio"] == pytest.approx(run.score["oracle_ratio"], rel=1e-6)
+    with BagReader(tmp_path / "again") as reader:
+        assert "/rimu/raw" not in reader.topics and "/truth/state" in reader.topics
+
+
+def test_the_bag_has_the_topics_of_the_live_graph(bag):
+    with BagReader(bag) as reader:
+        counts = {topic: number for topic, (_, number) in reader.topics.items()}
+        assert counts["/rimu/raw"] == counts["/imu/fused"] == 6000
+        assert counts["/nav/settled"] == counts["/nav/covariance"] == counts["/nav/odometry"] == counts["/nav/fix"] == 60
+        assert counts["/gps/fix"] == 60 and counts["/gps/velocity"] == 60 and counts["/bds/fix"] == 30 and counts["/bds/velocity"] == 28
+        assert counts["/truth/state"] == 601
+        assert counts["/riins/configuration"] == counts["/nav/initial_state"] == counts["/truth/faults"] == 1
+        first = next(iter(reader.messages()))
+        assert first.topic == "/riins/configuration"
+        for topic, log_ns, msg in reader.read(("/nav/settled", "/gps/fix", "/doppler/velocity", "/imu/fused"), stop_ns=reader.start_ns + 2_000_000_000):
+            assert msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec == log_ns, topic
+
+
+@pytest.mark.parametrize(("record", "has", "lacks"), [("nav", "/nav/settled", "/rimu/raw"), ("raw", "/rimu/raw", "/nav/settled")])
+def test_what_is_recorded_can_be_chosen(scenario, tmp_path, record, has, lacks):
+    import dataclasses
+
+    short = dataclasses.replace(scenario, duration_s=15.0, faults=(), expect={})
+    offline.sail(short, bag=tmp_path / record, record=record, twins=False)
+    with BagReader(tmp_path / record) as reader:
+        assert has in reader.topics and lacks not in reader.topics and "/truth/state" in reader.topics and "/riins/configuration" in reader.topics
+    if record == "raw":
+        with pytest.raises(RecordError, match="riins navigate"):
+            score_bag(tmp_path / record)
+    with pytest.raises(ValueError, match="record must be"):
+        offline.sail(short, bag=tmp_path / "x", record="everything")
+
+
+def test_overrides_change_the_navigation_and_are_recorded(bag, tmp_path, run):
+    alone = offline.navigate(bag, tmp_path / "log", overrides={"navigator": {"gps": {"enabled": False}, "bds": {"enabled": False}}})
+    assert set(alone.score["nis_per_dof"]) == {"doppler"}
+    assert alone.score["position_rms_m"] > run.score["position_rms_m"]
+    assert set(score(bag_record.read_record(tmp_path / "log", twins=False))["nis_per_dof"]) == {"doppler"}
+    with BagReader(tmp_path / "log") as reader:
+        assert bag_record.read_configuration(reader).navigator.gps.enabled is False
+    with pytest.raises(SettingError, match="did you mean"):
+        offline.navigate(bag, overrides={"navigator": {"gsp": {"enabled": False}}})
+
+
+def rewrite(source, target, change) -> None:
+    """A copy of a bag whose messages went through `change(topic, msgtype, message) -> message or None`."""
+    with BagReader(source) as reader, BagWriter(target, flush_period_s=0.0) as writer:
+        for one in reader.messages():
+            if one.topic.startswith(("/nav/", "/fdi/", "/imu/", "/evaluation/")) and one.topic != "/nav/initial_state":
+                continue
+            made = change(one)
+            if made is not None:
+                writer.write(one.topic, one.msgtype, *made)
+
+
+def test_order_of_arrival_does_not_matter(bag, tmp_path, run):
+    """Law 1 from a bag: aids that arrive up to 1.9 s late, mixed among the samples, give the same result."""
+    rng = np.random.default_rng(1)
+
+    def late(one):
+        delay = int(rng.uniform(0, 1.9e9)) if one.topic in ("/gps/fix", "/bds/fix", "/doppler/velocity") else 0
+        return one.data, one.log_ns + delay
+
+    rewrite(bag, tmp_path / "late", late)
+    again = offline.navigate(tmp_path / "late")
+    assert equal(again.record.settled, run.record.settled)
+    assert again.score["samples"]["late"] == 0
+
+
+def test_what_came_too_late_is_late_again(bag, tmp_path):
+    def late(one):
+        return one.data, one.log_ns + (3_000_000_000 if one.topic == "/doppler/velocity" else 0)
+
+    rewrite(bag, tmp_path / "late", late)
+    result = offline.navigate(tmp_path / "late").score
+    # the last three arrive when no later sample has been seen that far ahead
+    assert 54 <= result["samples"]["late"] <= 60
+    assert result["subfilters"].get("doppler", {"accepted": 0})["accepted"] <= 6
+
+
+def test_malformed_samples_are_counted(bag, tmp_path):
+    store = {}
+
+    def spoil(one):
+        if one.topic != "/rimu/raw":
+            return one.data, one.log_ns
+        k = store["k"] = store.get("k", 0) + 1
+        if k in (700, 701):  # five gyros
+            from riins_bag.bag import deserialize
+
+            msg = deserialize(one.msgtype, one.data)
+            made = {f: getattr(msg, f) for f in ("header", "sequence", "accel", "gyro_valid", "accel_valid")}
+            return serialize(one.msgtype, message(one.msgtype, {**made, "gyro": msg.gyro[:5]})), one.log_ns
+        return None if 900 <= k < 910 else (one.data, one.log_ns)
+
+    rewrite(bag, tmp_path / "spoiled", spoil)
+    result = offline.navigate(tmp_path / "spoiled").score
+    assert result["samples"] == {"received": 5990, "lost": 10, "late": 0, "rejected": 4}
+    assert result["position_rms_m"] < 6.0
+
+
+def test_a_bag_without_what_is_needed_says_so(bag, tmp_path):
+    for missing, words in (("/riins/configuration", "configuration"), ("/rimu/raw", "nothing to navigate"), ("/nav/initial_state", "never start")):
+        target = tmp_path / missing.strip("/").replace("/", "_")
+        rewrite(bag, target, lambda one, missing=missing: None if one.topic == missing else (one.data, one.log_ns))
+        with pytest.raises(RecordError, match=words):
+            offline.navigate(target)
+
+
+def test_faults_cleared_under_way_end_there(tmp_path):
+    from riins_node import fields
+    from riins_sim.faults import Fault, FaultType
+
+    both = [Fault("gps", FaultType.STEP, 5.0), Fault("gps", FaultType.RAMP, slope=1.0, start_ns=10**9)]
+    with BagWriter(tmp_path / "faults", flush_period_s=0.0) as writer:
+        for stamp, faults, source in ((10**18, both, "gps_link"), (10**18 + 4 * 10**9, both[:1], "gps_link"), (10**18 + 5 * 10**9, [], "imu_link")):
+            content = fields.fault_array(stamp, faults, 10**18)
+            content["header"]["frame_id"] = source
+            writer.write_message("/truth/faults", "riins_msgs/msg/FaultArray", content, stamp)
+    with BagReader(tmp_path / "faults") as reader:
+        found = bag_record.read_faults(reader, 10**18)
+    assert [(f.type, f.end_ns) for f in found] == [(FaultType.STEP, None), (FaultType.RAMP, 4 * 10**9)]
+    assert size_text(found[1]) == "+1 m per s"
+
+
+def test_the_reference_is_interpolated_between_neighbours_only():
+    t = np.array([0, 100, 200, 5200]) * 10_000_000
+    x = 5.0 * t * 1e-9  # 5 m/s to the north along a circle of 6.36e6 m
+    z = np.zeros(4)
+    reference = Track(t, 0.7 + x / 6.3617e6, z + 2.0, z, np.column_stack([z + 5.0, z, z]), np.column_stack([z, z, z + np.array([6.27, 0.01, 0.02, 0.0])]))
+    at = np.array([0, 50, 150, 200, 3000, 5200, 6000]) * 10_000_000
+    made = bag_record.reference_at(reference, at)
+    assert np.isfinite(made.lat).tolist() == [True, True, True, True, False, True, False]
+    assert (made.lat[:4] - 0.7) * 6.3617e6 == pytest.approx([0.0, 2.5, 7.5, 10.0], abs=0.02)
+    assert made.lat[0] == reference.lat[0] and made.lat[5] == reference.lat[3]
+    assert np.sin(made.rph[1, 2]) == pytest.approx(np.sin(0.5 * (0.01 + 6.27 - 2 * np.pi)), abs=1e-6)
+
+
+def test_faults_of_the_oracle_are_hidden_in_their_interval_only(scenario):
+    from riins_sim.sensors import RedundantImuSim
+
+    imu = RedundantImuSim(scenario)
+    schedule = FaultSchedule([f.fault() for f in scenario.faults])
+    raw = imu.block(1990, 20, schedule)
+    hidden = offline._hide(raw, schedule.only(["gyro", "accel"]).faults)
+    bit = (hidden.gyro_valid >> np.uint64(4)) & np.uint64(1)
+    assert bit.tolist() == [1] * 10 + [0] * 10
+    assert (hidden.accel_valid == raw.accel_valid).all()
