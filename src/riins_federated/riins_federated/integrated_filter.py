@@ -17,11 +17,11 @@ from riins_fdi.health import Change
 
 from .aiding import HeightModel, Pose, PositionModel, VelocityModel
 from .config import NavigatorConfig
-from .error_filter import N_ERROR, ProcessNoise, correct, initial_covariance, transition
+from .error_filter import N_ERROR, PHI, VEL, ProcessNoise, correct, initial_covariance, transition
 from .local_filter import LocalFilter
 from .master import FusionReset, InformationMaster, Master
 from .solution import body_rate, solution
-from .types import Aid, Array, InitialState, Judged, Mode, NavSolution
+from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall
 
 
 @dataclass
@@ -162,13 +162,25 @@ class IntegratedFilter:
 
     def feed_back(self) -> None:
         """Correct the nominal state by the estimate, which is zero afterwards; a correction beyond one sigma is a reset."""
-        m = self._running()
-        x, P = self._master.x.copy(), self._master.P
+        x = self._master.x.copy()
         if not x.any():
             return
+        self._shift(x)
+        self._master.shift(x)
+
+    def recall(self, recall: Recall) -> None:
+        """Take out of the nominal state what declared sensors have put in; the aids' corrections since, and the position, stay."""
+        C_nb = self._running().nav[6:15].reshape(3, 3)
+        x = np.zeros(N_ERROR)
+        x[PHI] = -(C_nb @ recall.angle)  # computed C_nb = C_nb exp([angle x]) = (I - [phi x]) C_nb
+        x[VEL] = C_nb @ recall.velocity
+        self._shift(x)
+
+    def _shift(self, x: Array) -> None:
+        """Subtract errors from the nominal state; beyond one sigma it is a reset."""
+        m, P = self._running(), self._master.P
         correct(m.nav, m.parameters, x)
         correct(m.nav_before, m.parameters.copy(), x)
-        self._master.shift(x)
         position, velocity, heading = math.hypot(x[0], x[1]), math.hypot(x[3], x[4]), abs(x[8])
         if position**2 > P[0, 0] + P[1, 1] or velocity**2 > P[3, 3] + P[4, 4] or heading**2 > P[8, 8]:
             m.reset_count += 1

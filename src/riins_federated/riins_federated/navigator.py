@@ -7,6 +7,7 @@ Does not live here: navigation and filtering (integrated_filter.py), queues (tim
 from __future__ import annotations
 
 import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,14 +19,14 @@ from riins_fdi.health import Change
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
 from .timeline import EventQueue, ImuBuffer, Journal
-from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, SettledEpoch, UseCommand
+from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
 
 MAX_WAITING = 100_000
 """Items that may wait for the IMU to reach their stamp."""
 LOST_BEYOND = 2**31
 """A step of the sequence number beyond this is a number that went back, not a loss."""
-RANK_INITIAL, RANK_COMMAND = -2000, -1000
-"""At one stamp: the initial state, then commands, then the aids in the order of the subfilters."""
+RANK_INITIAL, RANK_COMMAND, RANK_RECALL = -2000, -1000, -1
+"""At one stamp: the initial state, then commands, then what is recalled, then the aids in the order of the subfilters."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class Navigator:
         self._take_in(command.stamp_ns)
         return ""
 
-    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[Any], rate: Array, force: Array) -> None:
+    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[Any], rate: Array, force: Array, recalls: Sequence[Recall] = ()) -> None:
         """Take a block of samples of any length.
 
         Parameters
@@ -169,6 +170,7 @@ class Navigator:
         stamp_ns : (m,), ends of the averaging intervals, ns
         sequence : (m,), numbers of the source; a gap counts as lost
         rate, force : (m, 3), mean body rate and specific force over the interval, rad/s, m/s^2, FRD
+        recalls : what declared sensors have put in, in order of stamp, one at most for a sample of this block
         """
         stamp_ns = np.asarray(stamp_ns, np.int64)
         numbers: NDArray[np.int64] = np.asarray(sequence, np.int64)
@@ -181,6 +183,7 @@ class Navigator:
             unusual = np.flatnonzero(~(finite[start:] & (steps > 0) & (steps <= self._max_delay)))
             stop = start + int(unusual[0]) if len(unusual) else len(stamp_ns)
             self._append(stamp_ns[start:stop], numbers[start:stop], rate[start:stop], force[start:stop])
+            recalls = self._queue_recalls(stamp_ns[start:stop], recalls)
             if stop == len(stamp_ns):
                 break
             step = int(steps[stop - start])
@@ -252,6 +255,14 @@ class Navigator:
         self.imu_lost += int(np.where((gaps > 1) & (gaps < LOST_BEYOND), gaps - 1, 0).sum())
         self._imu.append(stamp_ns, np.asarray(rate, np.float64), np.asarray(force, np.float64), dt)
         self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
+
+    def _queue_recalls(self, stamp_ns: NDArray[np.int64], recalls: Sequence[Recall]) -> Sequence[Recall]:
+        """Put the recalls that belong to samples just appended into the queue; returns the others."""
+        n = 0
+        while n < len(recalls) and recalls[n].stamp_ns in stamp_ns:
+            self._queue.add(recalls[n].stamp_ns, RANK_RECALL, recalls[n])
+            n += 1
+        return recalls[n:]
 
     def _restart(self, stamp_ns: int, step_ns: int) -> None:
         """The IMU stamp has jumped: settle what was, and wait for an initial state near the new stamp."""
@@ -367,6 +378,8 @@ class Navigator:
                 corrected |= judged.accepted
             elif isinstance(item, UseCommand):
                 self._note(item.name, flt.subfilters[self._rank[item.name]].use(stamp, item.use))
+            elif isinstance(item, Recall):
+                self._recall(item)
             else:
                 self._start_again(item, sample)
                 due = self._due
@@ -386,6 +399,17 @@ class Navigator:
         margin = self._max_delay + 2 * period.covariance
         if self._last_ns is not None and stamp_ns > self._last_ns - margin and stamp_ns >= self._checkpoints[-1].stamp_ns + period.covariance // 4:
             self._checkpoints.append(self._checkpoint(stamp_ns))
+
+    def _recall(self, recall: Recall) -> None:
+        """Take out what declared inertial sensors have put in, if this run integrated all of it."""
+        angle, velocity = (float(np.linalg.norm(v)) for v in (recall.angle, recall.velocity))
+        text = f"{np.degrees(angle) * 60.0:.2f} arcmin and {velocity:.3g} m/s of isolated inertial sensors"
+        if recall.onset_ns >= self._filter.started_ns:
+            self._filter.recall(recall)
+            text = f"recalled {text} since {(recall.stamp_ns - recall.onset_ns) * 1e-9:.1f} s"
+        else:
+            text = f"not recalled, it began before the run: {text}"
+        self._journal.add(recall.stamp_ns, NavEvent(recall.stamp_ns, text))
 
     def _start_again(self, initial: InitialState, sample: int) -> None:
         """Re-initialise within the sample that has just been integrated, and integrate what is left of it."""

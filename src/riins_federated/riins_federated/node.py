@@ -29,7 +29,7 @@ from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
 from .reporting import Grid, diagnosis, what_changed
-from .types import Aid, FederatedReport, InitialState, NavSolution, Reason, UseCommand
+from .types import Aid, FederatedReport, InitialState, NavSolution, Reason, Recall, UseCommand
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
@@ -106,7 +106,9 @@ class NavigatorNode(AutostartLifecycleNode):
             return
         self._last_wall = time.monotonic()
         sample = convert.read_fused_imu(message)
-        self._navigator.add_imu(np.array([sample["stamp_ns"]]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None])
+        stamp, onset = sample["stamp_ns"], sample["recall_onset_ns"]
+        recalls = [Recall(stamp, onset, sample["angle_recall"], sample["velocity_recall"])] if onset else []
+        self._navigator.add_imu(np.array([stamp]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None], recalls)
         solution = self._navigator.head()
         if solution is not None and solution.stamp_ns == sample["stamp_ns"]:
             self._publish_head(solution)

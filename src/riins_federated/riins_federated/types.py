@@ -120,6 +120,24 @@ class Aid:
 
 
 @dataclass(frozen=True)
+class Recall:
+    """What inertial sensors declared faulty at an IMU sample have put into attitude and velocity since their faults began.
+
+    Attributes
+    ----------
+    stamp_ns : of the sample, itself free of it
+    onset_ns : estimated beginning
+    angle : (3,), rad, body FRD at `stamp_ns`: the integrated attitude is C_nb exp([angle x]) instead of C_nb
+    velocity : (3,), m/s, body FRD at `stamp_ns`: excess of the integrated velocity
+    """
+
+    stamp_ns: int
+    onset_ns: int
+    angle: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
 class UseCommand:
     """The operator excludes or restores a subfilter from a measurement time on."""
 

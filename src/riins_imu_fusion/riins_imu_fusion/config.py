@@ -48,6 +48,8 @@ class FusionConfig:
     stuck_count: int = setting(10, "samples with one and the same value after which a sensor is taken as stuck; 0: never", "", 0, 1_000_000)
     gyro_limit: float = setting(0.0, "range of a gyro: at or beyond it the value is saturated; 0: none", "rad/s", 0.0, 1e4)
     accel_limit: float = setting(0.0, "range of an accelerometer: at or beyond it the value is saturated; 0: none", "m/s^2", 0.0, 1e6)
+    recall_window_s: float = setting(60.0, "a fault is traced back at most this far to recall what it put in; 0: nothing is", "s", 0.0, 3600.0)
+    recall_false_alarm_probability: float = setting(1e-3, "probability that a fault is found in the past of a sensor that had none", "", 1e-12, 0.5)
     max_delay_s: float = setting(2.0, "a stamp that jumps by more than this, back or forward, restarts the run", "s", 1e-3, 600.0)
     status_period_s: float = setting(0.1, "interval of the periodic status, measurement time", "s", 1e-3, 3600.0)
 

@@ -16,6 +16,7 @@ from riins_imu_fusion.state import (
     COMMAND,
     DONE,
     EVENT,
+    FILLED,
     FORCE_STATUS,
     FUSED,
     GOOD,
@@ -24,9 +25,11 @@ from riins_imu_fusion.state import (
     LAST,
     LOST,
     NEED_TABLE,
+    NEWEST,
     NEXT_COMMAND,
     NONE,
     NOT_FINITE,
+    OPEN,
     PARITY,
     QUIET,
     RECEIVED,
@@ -45,6 +48,7 @@ from riins_imu_fusion.state import (
     F,
     I,
     Output,
+    Past,
     Rules,
     State,
     Tables,
@@ -203,6 +207,35 @@ def remember(kind: int, k: int, raw: F, value: F, repeat: I) -> None:
 
 
 @jit
+def note_past(t: int, rules: Rules, used: U, z: F, past: Past) -> None:
+    """Add a fused sample to the records of the past."""
+    place = past.place
+    cell = t // rules.record
+    dt = rules.period if place[FILLED] == 0 else (t - place[NEWEST]) * 1e-9  # as a consumer that integrates has it
+    place[NEWEST] = t
+    r = place[OPEN]
+    if place[FILLED] == 0 or past.cell[r] != cell or past.used[r, 0] != used[0] or past.used[r, 1] != used[1]:
+        size = past.cell.shape[0]
+        if place[FILLED] > 0:
+            r = (r + 1) % size
+            place[OPEN] = r
+        place[FILLED] = min(place[FILLED] + 1, size)
+        past.cell[r] = cell
+        past.span[r] = 0.0
+        past.square[r] = 0.0
+        for kind in range(2):
+            past.used[r, kind] = used[kind]
+            for i in range(z.shape[1]):
+                past.sum[r, kind, i] = 0.0
+    past.last[r] = t
+    past.span[r] += dt
+    past.square[r] += dt * dt
+    for kind in range(2):
+        for i in range(z.shape[1]):
+            past.sum[r, kind, i] += dt * z[kind, i]
+
+
+@jit
 def without(key: np.uint64, first: int, second: int) -> np.uint64:
     """Set of sensors with two taken out (-1: none)."""
     if first >= 0:
@@ -313,6 +346,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                         code |= EVENT
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
+            if rules.record > 0:
+                note_past(t, rules, used, z, st.past)
             output.stamp[o] = t
             output.sequence[o] = block.sequence[k]
             o += 1

@@ -13,26 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from riins_fdi.health import ALWAYS_NS, NEVER_NS, TRIAD_CODE, Change, HealthMachine, HealthState
+from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, TRIAD_CODE, Change, HealthMachine, HealthState
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.parity import Capability, glt_threshold
 from riins_imu_fusion import state as K
 from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.kernel import fuse_samples, note_sequence
+from riins_imu_fusion.recall import Recaller
 from riins_imu_fusion.tables import TableCache
-from riins_imu_fusion.types import CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, TriadStatus
+from riins_imu_fusion.types import REASON_WORDS, CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
 
 Array = NDArray[np.float64]
 
-_WORDS = {
-    Reason.PARITY: "parity test",
-    Reason.STUCK: "value stuck",
-    Reason.NOT_FINITE: "not finite",
-    Reason.SATURATED: "saturated",
-    Reason.INVALID: "flagged invalid",
-    Reason.OPERATOR: "operator",
-    Reason.RECOVERED: "consistent again",
-}
+RECORD_S = 0.1
+"""Length of a record of the past: how finely an onset is known."""
+RECORDS_SPARE = 4
+"""Records kept for each one in the window: changes of the sensors used end records early."""
 
 
 class _Command(NamedTuple):
@@ -64,7 +60,8 @@ class FusionPipeline:
     -----
     A sample whose test exceeds the threshold is fused without the sensor that explains it; persistence isolates that sensor, and it returns
     through a hold and a probation in which its residual against the sensors in use is tested. A missing, stuck or saturated axis is left
-    out at once and goes the same way. With four sensors in use a fault is detected and stays in; the status is then doubtful.
+    out at once and goes the same way. With four sensors in use a fault is detected and stays in; the status is then doubtful. What a sensor
+    has put in from the estimated onset of its fault until its isolation is said in `FusedBlock.recalls`, for those who integrate.
     """
 
     def __init__(self, config: FusionConfig, statuses: bool = False) -> None:
@@ -75,6 +72,8 @@ class FusionPipeline:
         self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa)
         self._statuses_wanted = statuses
         max_delay = round(config.max_delay_s * 1e9)
+        record_s = max(RECORD_S, 1.0 / config.rate_hz)
+        self._records = RECORDS_SPARE * math.ceil(config.recall_window_s / record_s) + 1
         self._rules = K.Rules(
             H=np.ascontiguousarray(self.array.H),
             limit=config.limits(),
@@ -85,8 +84,12 @@ class FusionPipeline:
             stuck=config.stuck_count,
             status_period=round(config.status_period_s * 1e9) if statuses else 0,
             doubt_time=round(config.health.probation_s * 1e9),
+            period=1.0 / config.rate_hz,
+            record=round(record_s * 1e9) if config.recall_window_s > 0.0 else 0,
         )
-        self._state = K.fresh_state(n)
+        self._state = K.fresh_state(n, self._records)
+        self._recaller = Recaller(config, self.array, self._cache)
+        self._recalls: list[Recall] = []
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
         self._health: list[_Health | None] = [None, None]
         self._commands: list[_Command] = []
@@ -143,12 +146,13 @@ class FusionPipeline:
         if block.gyro.shape[1] != self.n or block.accel.shape[1] != self.n:
             for t, s in zip(block.stamp.tolist(), block.sequence.tolist(), strict=True):
                 self.reject_length(t, s, block.gyro.shape[1], block.accel.shape[1])
-            return _fused(out, 0)
+            return _fused(out, 0, ())
         k = o = 0
         while True:
             k, o, code = fuse_samples(k, o, block, out, self._cache.tables, self._rules, self._state)
             if code == K.DONE:
-                return _fused(out, o)
+                recalls, self._recalls = tuple(self._recalls), []
+                return _fused(out, o, recalls)
             if code == K.NEED_TABLE:
                 self._cache.add(int(self._state.need[0]), int(self._state.need_key[0]))
             elif code == K.RESTART:
@@ -274,14 +278,21 @@ class FusionPipeline:
                 good, reason, note = False, int(Reason.PARITY), f", mean residual {mean:+.2f} sigma"
         change = machine.step(t, good, reason)
         self._refresh(kind, index)
-        if change is not None:
-            self._changed(kind, index, change, note)
+        if change is None:
+            return
+        if change.state is HealthState.ISOLATED and change.previous in IN_USE and reason in (Reason.PARITY, Reason.STUCK):
+            stuck = int(st.repeat[kind, index]) if reason == Reason.STUCK else 0
+            recall = self._recaller.recall(st.past, kind, index, t, stuck)  # other bad values never entered
+            if recall is not None:
+                self._recalls.append(recall)
+                note = f", {recall.text()}"
+        self._changed(kind, index, change, note)
 
     def _changed(self, kind: int, index: int, change: Change, note: str = "") -> None:
         if change.state is HealthState.PROBATION:
             self._state.mean_sum[kind, index] = 0.0
             self._state.mean_count[kind, index] = 0
-        why = f" ({_WORDS[Reason(change.reason)]}{note})" if change.reason else ""
+        why = f" ({REASON_WORDS[Reason(change.reason)]}{note})" if change.reason else ""
         text = f"{KINDS[kind]}_{index} {change.previous.name.lower()} -> {change.state.name.lower()}{why}"
         self._tell(change.stamp_ns, KINDS[kind], index, change.state, change.reason, text)
 
@@ -312,7 +323,8 @@ class FusionPipeline:
     def _restart(self, stamp_ns: int) -> None:
         """A stamp jumped: begin anew; only the operator's exclusions stay."""
         jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
-        old, self._state = self._state, K.fresh_state(self.n)
+        old, self._state = self._state, K.fresh_state(self.n, self._records)
+        self._recaller.reset()
         self._state.counts[:] = old.counts
         self._state.counts[K.RESTARTS] += 1
         self._state.left_out[:] = old.left_out
@@ -392,6 +404,6 @@ class FusionPipeline:
         )
 
 
-def _fused(out: K.Output, m: int) -> FusedBlock:
+def _fused(out: K.Output, m: int, recalls: tuple[Recall, ...]) -> FusedBlock:
     (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
-    return FusedBlock(out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
+    return FusedBlock(out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic, recalls)

@@ -29,6 +29,8 @@ PARITY, STUCK, NOT_FINITE, SATURATED, INVALID = 1, 2, 3, 4, 5
 # elements of State.clock
 LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
 CLOCK_SIZE = 6
+# elements of Past.place
+OPEN, FILLED, NEWEST = 0, 1, 2
 # elements of State.counts
 RECEIVED, FUSED, LOST, REJECTED_LENGTH, REJECTED_STAMP, REJECTED_NO_SOLUTION, RESTARTS = 0, 1, 2, 3, 4, 5, 6
 COUNTS_SIZE = 7
@@ -67,6 +69,8 @@ class Rules(NamedTuple):
     stuck: int  # equal samples; 0: never
     status_period: int  # ns; 0: no ticks
     doubt_time: int  # ns
+    period: float  # s, nominal
+    record: int  # ns, length of a record of the past; 0: none is kept
 
 
 class Tables(NamedTuple):
@@ -80,6 +84,18 @@ class Tables(NamedTuple):
     gain: F  # (2, s, n)
     isolable: B  # (2, s, n)
     reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
+
+
+class Past(NamedTuple):
+    """Ring of records of what was fused lately. A record ends at a grid of stamps, and where the set of sensors used changes."""
+
+    place: I  # (3,), the open record, records filled, stamp of the newest sample
+    cell: I  # (r,), of the grid
+    last: I  # (r,), stamp of its last sample
+    span: F  # (r,), sum of dt, s
+    square: F  # (r,), sum of dt^2
+    used: U  # (r, 2)
+    sum: F  # (r, 2, n), sum of dt z
 
 
 class State(NamedTuple):
@@ -113,10 +129,11 @@ class State(NamedTuple):
     doubt_last: I  # (2,), stamp of the last unresolved alarm
     need: I  # (1,), kind of the table that is missing
     need_key: U  # (1,)
+    past: Past
 
 
-def fresh_state(n: int) -> State:
-    """State before the first sample of n sensors of each kind."""
+def fresh_state(n: int, records: int) -> State:
+    """State before the first sample of n sensors of each kind, with room for `records` of the past."""
     def whole(*shape: int) -> NDArray[np.int64]:
         return np.zeros(shape, np.int64)
 
@@ -152,4 +169,13 @@ def fresh_state(n: int) -> State:
         doubt_last=whole(2),
         need=whole(1),
         need_key=np.zeros(1, np.uint64),
+        past=Past(
+            place=whole(3),
+            cell=whole(records),
+            last=whole(records),
+            span=np.zeros(records),
+            square=np.zeros(records),
+            used=np.zeros((records, 2), np.uint64),
+            sum=np.zeros((records, 2, n)),
+        ),
     )

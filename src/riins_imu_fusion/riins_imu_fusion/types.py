@@ -6,6 +6,8 @@ Does not live here: settings (config.py), messages (node.py, riins_node), any co
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -32,6 +34,44 @@ class Reason(IntEnum):
     RECOVERED = 7
 
 
+REASON_WORDS = {
+    Reason.PARITY: "parity test",
+    Reason.STUCK: "value stuck",
+    Reason.NOT_FINITE: "not finite",
+    Reason.SATURATED: "saturated",
+    Reason.INVALID: "flagged invalid",
+    Reason.OPERATOR: "operator",
+    Reason.RECOVERED: "consistent again",
+}
+
+
+@dataclass(frozen=True)
+class Recall:
+    """What a sensor has put into the integrals of the fused output from the onset of its fault until it was declared.
+
+    Attributes
+    ----------
+    stamp_ns : of the sample at which it was declared, itself free of it
+    kind, index : the sensor: gyro or accel, number
+    onset_ns : estimated beginning of the fault
+    angle : (3,), rad, body FRD at `stamp_ns`: the integrated attitude is C_nb exp([angle x]) instead of C_nb
+    velocity : (3,), m/s, body FRD at `stamp_ns`: excess of the integrated velocity
+    """
+
+    stamp_ns: int
+    kind: str
+    index: int
+    onset_ns: int
+    angle: Array
+    velocity: Array
+
+    def text(self) -> str:
+        """For the text of an event: age of the fault and size of what is recalled."""
+        size = f"{math.degrees(float(np.linalg.norm(self.angle))) * 60.0:.2f} arcmin" if self.kind == "gyro" else ""
+        size = size or f"{float(np.linalg.norm(self.velocity)):.3g} m/s"
+        return f"since {(self.stamp_ns - self.onset_ns) * 1e-9:.1f} s; recalled {size}"
+
+
 class FusedBlock(NamedTuple):
     """Fused samples; those rejected are not in it.
 
@@ -43,6 +83,7 @@ class FusedBlock(NamedTuple):
     force : (m, 3), m/s^2, specific force, body FRD
     gyro_used, accel_used : (m,) uint64, bit i set: sensor i entered this sample
     gyro_statistic, accel_statistic : (m,), GLT statistic of the sensors tested (before any is left out); NaN without redundancy
+    recalls : what is to be taken out of the integrals at some of these stamps
     """
 
     stamp_ns: NDArray[np.int64]
@@ -53,9 +94,27 @@ class FusedBlock(NamedTuple):
     accel_used: NDArray[np.uint64]
     gyro_statistic: Array
     accel_statistic: Array
+    recalls: tuple[Recall, ...] = ()
 
     def __len__(self) -> int:
         return int(self.stamp_ns.size)
+
+    def recalled(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """What is recalled at each sample, all sensors together: angle (m, 3), velocity (m, 3), earliest onset (m,) ns; zeros nearly everywhere."""
+        m = len(self)
+        angle, velocity, onset = np.zeros((m, 3)), np.zeros((m, 3)), np.zeros(m, np.int64)
+        for one in self.recalls:
+            k = int(np.flatnonzero(self.stamp_ns == one.stamp_ns)[0])  # stamps may go back within a block
+            angle[k] += one.angle
+            velocity[k] += one.velocity
+            onset[k] = min(int(onset[k]) or one.onset_ns, one.onset_ns)
+        return angle, velocity, onset
+
+
+def join(blocks: Sequence[FusedBlock]) -> FusedBlock:
+    """Blocks one after the other."""
+    columns = [np.concatenate(column) for column in zip(*(block[:-1] for block in blocks), strict=True)]
+    return FusedBlock._make([*columns, tuple(one for block in blocks for one in block.recalls)])
 
 
 @dataclass(frozen=True)

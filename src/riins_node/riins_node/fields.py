@@ -76,6 +76,9 @@ def fused_imu(
     gyro_drift: ArrayLike = (),
     accel_drift: ArrayLike = (),
     method: int = 0,
+    angle_recall: ArrayLike = (0.0, 0.0, 0.0),
+    velocity_recall: ArrayLike = (0.0, 0.0, 0.0),
+    recall_onset_ns: Any = 0,
 ) -> Fields:
     """riins_msgs/FusedImu.
 
@@ -85,6 +88,7 @@ def fused_imu(
     rate, force : (3,) or (m, 3), FRD, rad/s, m/s^2
     rate_covariance, force_covariance : (3, 3) or (m, 3, 3), FRD
     gyro_drift, accel_drift : per sensor, what was removed
+    angle_recall, velocity_recall, recall_onset_ns : (3,), (3,), int, or with m rows as `rate`; FRD, rad, m/s, ns; zeros: nothing
     """
     return {
         "header": header(stamp_ns, IMU),
@@ -98,6 +102,9 @@ def fused_imu(
         "gyro_used": gyro_used,
         "accel_used": accel_used,
         "method": method,
+        "angle_recall": vector(frames.frd_to_flu(angle_recall)),
+        "velocity_recall": vector(frames.frd_to_flu(velocity_recall)),
+        "recall_onset": recall_onset_ns,
     }
 
 

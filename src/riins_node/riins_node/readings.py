@@ -30,7 +30,7 @@ class RedundantImuSample(TypedDict):
 
 
 class FusedImuSample(TypedDict):
-    """rate, force: (3,) FRD, rad/s and m/s^2."""
+    """rate, force, angle_recall, velocity_recall: (3,) FRD, rad/s, m/s^2, rad, m/s; recall_onset_ns 0: nothing is recalled."""
 
     stamp_ns: int
     sequence: int
@@ -38,6 +38,9 @@ class FusedImuSample(TypedDict):
     force: Array
     gyro_used: int
     accel_used: int
+    angle_recall: Array
+    velocity_recall: Array
+    recall_onset_ns: int
 
 
 class AidReading(TypedDict):
@@ -75,6 +78,9 @@ def read_fused_imu(msg: Any) -> FusedImuSample:
         "force": frames.flu_to_frd(_vector(msg.linear_acceleration)),
         "gyro_used": int(msg.gyro_used),
         "accel_used": int(msg.accel_used),
+        "angle_recall": frames.flu_to_frd(_vector(msg.angle_recall)),
+        "velocity_recall": frames.flu_to_frd(_vector(msg.velocity_recall)),
+        "recall_onset_ns": to_ns(msg.recall_onset),
     }
 
 

@@ -117,11 +117,13 @@ def test_redundant_imu_to_the_bit(values: list[float], sequence: int, valid: int
 @settings(max_examples=30, deadline=None)
 def test_fused_imu_to_the_bit_and_in_flu(values: list[float]) -> None:
     rate, force = np.array(values[:3]) + 0.0, np.array(values[3:]) + 0.0
-    msg = convert.fill(FusedImu, fields.fused_imu(STAMP, 9, rate, force, np.eye(3), 2 * np.eye(3), 63, 31, np.zeros(6), np.zeros(6)))
+    recalled = {"angle_recall": rate, "velocity_recall": force, "recall_onset_ns": STAMP - 7}
+    msg = convert.fill(FusedImu, fields.fused_imu(STAMP, 9, rate, force, np.eye(3), 2 * np.eye(3), 63, 31, np.zeros(6), np.zeros(6), **recalled))
     assert (msg.angular_velocity.x, msg.angular_velocity.y, msg.angular_velocity.z) == (rate[0], -rate[1], -rate[2])
     assert msg.header.frame_id == "imu_link"
     back = convert.read_fused_imu(msg)
-    assert same(dict(back), {"stamp_ns": STAMP, "sequence": 9, "rate": rate, "force": force, "gyro_used": 63, "accel_used": 31})
+    assert (msg.angle_recall.x, msg.angle_recall.y, msg.velocity_recall.z) == (rate[0], -rate[1], -force[2])
+    assert same(dict(back), {"stamp_ns": STAMP, "sequence": 9, "rate": rate, "force": force, "gyro_used": 63, "accel_used": 31, **recalled})
 
 
 def test_live_and_recorded_give_the_same_numbers(ros: Callable[..., None], typestore: Any) -> None:
