@@ -19,7 +19,6 @@ from riins_core.settings import SettingError, as_mapping, build, field_types, fl
 CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
 IMU_TOPIC = "/rimu/raw"
-LEAD_S = 0.5  # of recorded time before the first IMU sample of a replay
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,8 @@ def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
     changes: dict[str, Any] = {}
     if settings.seed >= 0:
         changes["seed"] = settings.seed
-    if settings.duration_s > 0.0:
-        changes["duration_s"] = min(settings.duration_s, scenario.duration_s)
+    if 0.0 < settings.duration_s < scenario.duration_s:
+        changes |= {"duration_s": settings.duration_s, "expect": {}}  # what it expects is of the whole voyage
     scenario = dataclasses.replace(scenario, **changes)
     fusion, navigator = configure.fusion_config(scenario), configure.navigator_config(scenario)
 
@@ -226,7 +225,7 @@ def replay_graph(settings: GraphSettings) -> Graph:
     from riins_imu_fusion.config import FusionConfig
 
     with BagReader(settings.bag) as bag:
-        text, topics, begin_ns = bag.configuration(), set(bag.topics), bag.start_ns
+        text, topics = bag.configuration(), set(bag.topics)
         if IMU_TOPIC not in topics:
             raise BagError(f"{settings.bag} has no {IMU_TOPIC}: there is nothing to navigate from")
         first_ns, last_ns = bag.span_ns(IMU_TOPIC)
@@ -240,8 +239,6 @@ def replay_graph(settings: GraphSettings) -> Graph:
     parameters = {
         "path": str(Path(settings.bag).absolute()),
         "rate": settings.rate,
-        # a live recording begins while the nodes still start; what is latched before this is played all the same
-        "start_offset_s": max(0.0, (first_ns - begin_ns) * 1e-9 - LEAD_S),
         "wait_for": [t for t in raw if t.strip("/") in heard],
     }
     moved = tuple((t, f"/{settings.namespace.strip('/')}{t}") for t in raw) if settings.namespace.strip("/") else ()

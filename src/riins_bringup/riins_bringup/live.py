@@ -138,7 +138,8 @@ class LiveRun:
         # the sources need about as long to start as the listeners did; time begins when they are there
         delay = min(max(4.0, 2.0 * needed), 20.0)
         if self.graph.wall_stamps:
-            self.graph = self.graph.starting_at(time.time_ns() + round(delay * 1e9))
+            # on a whole second, so that stamps read well and outputs on a grid of time fall on samples
+            self.graph = self.graph.starting_at(math.ceil(time.time() + delay) * 1_000_000_000)
             self.monitor.start_at_ns = self.graph.start_at_ns
         self.say(f"listeners ready after {needed:.1f} s; time starts " + (f"in {delay:.1f} s" if self.graph.wall_stamps else "with the player"))
         self._start_sources(alive)

@@ -1,0 +1,106 @@
+"""Every node by itself, as `ros2 run` starts it: status 0 after SIGINT and SIGTERM, 2 after a wrong parameter, with one line that says why.
+
+Lives here: start, parameters and end of the installed executables.
+Does not live here: what they do together (test_graph_live.py).
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from harness import own_domain, short_scenario
+
+from riins_bringup.graph import GraphSettings, NodeSpec, build_graph
+from riins_bringup.processes import Processes, find_executable
+from riins_bringup.watch import Watcher
+from riins_eval import offline
+
+EXECUTABLES = {
+    "imu_fusion": "riins_imu_fusion",
+    "navigator": "riins_federated",
+    "recorder": "riins_bag",
+    "player": "riins_bag",
+    "rimu": "riins_sim",
+    "gps": "riins_sim",
+    "bds": "riins_sim",
+    "doppler": "riins_sim",
+    "truth": "riins_sim",
+}
+MISSPELT = {"imu_fusion": "gyro_sgma", "navigator": "max_dela_s", "recorder": "pth", "player": "rat"}  # the simulated sensors: scenari
+NEAREST = {"imu_fusion": "gyro_sigma", "navigator": "max_delay_s", "recorder": "path", "player": "rate"}
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory) -> Path:
+    return short_scenario(tmp_path_factory.mktemp("scenario"))
+
+
+@pytest.fixture(scope="module")
+def raw_bag(scenario) -> Path:
+    bag = scenario.with_name("raw")
+    offline.sail(scenario, bag=bag, record="raw", twins=False)
+    return bag
+
+
+def every_node(scenario: Path, bag: Path, record: Path) -> list[NodeSpec]:
+    ship = build_graph(GraphSettings(scenario=str(scenario), record=str(record)))
+    player = build_graph(GraphSettings(bag=str(bag))).node("player")
+    return [*ship.nodes, NodeSpec("riins_bag", "player", "player", "source", {**player.parameters, "loop": True}, publishes=("rimu/raw",))]
+
+
+@pytest.mark.parametrize(
+    "signals", [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT, signal.SIGINT, signal.SIGINT)], ids=["INT", "TERM", "INT INT INT"]
+)
+def test_every_node_ends_with_status_0(scenario, raw_bag, tmp_path, signals):
+    specs = every_node(scenario, raw_bag, tmp_path / "bag")
+    assert {s.name for s in specs} == set(EXECUTABLES)
+    with own_domain(tmp_path), Processes(tmp_path / "logs") as processes, Watcher() as watcher:
+        processes.start(*specs)
+        assert watcher.wait_for(specs, 120.0) == []
+        assert processes.exited() == []
+        for name in processes.names:
+            for number in signals:
+                processes.signal(name, number)
+        assert {name: processes.wait(name, 20.0) for name in processes.names} == dict.fromkeys(EXECUTABLES, 0)
+        assert not any("Traceback" in line for name in processes.names for line in processes.tail(name, 200))
+    assert (tmp_path / "bag/metadata.yaml").is_file()
+
+
+def run_all(tmp_path: Path, arguments: dict[str, list[str]]) -> dict[str, tuple[int, list[str]]]:
+    """Start all executables at once with these arguments; status and lines of each."""
+    with own_domain(tmp_path):
+        started = {
+            name: subprocess.Popen(
+                [find_executable(package, name), "--ros-args", *arguments[name]], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
+            for name, package in EXECUTABLES.items()
+        }
+        lines = {name: process.communicate(timeout=60.0)[0].strip().splitlines() for name, process in started.items()}
+    return {name: (started[name].returncode, lines[name]) for name in started}
+
+
+def test_unknown_parameter_is_refused_with_the_nearest_name(tmp_path):
+    ended = run_all(tmp_path, {name: ["-p", f"{MISSPELT.get(name, 'scenari')}:=1"] for name in EXECUTABLES})
+    for name, (status, lines) in ended.items():
+        assert status == 2, (name, lines)
+        assert len(lines) == 1 and MISSPELT.get(name, "scenari") in lines[0] and f'"{NEAREST.get(name, "scenario")}"' in lines[0], (name, lines)
+
+
+def test_wrong_type_or_range_is_refused(tmp_path):
+    wrong = {
+        "imu_fusion": ["-p", "status_period_s:=-1.0"],
+        "navigator": ["-p", "gps.sigma_m:=[1.0, 2.0]"],
+        "recorder": ["-p", "flush_period_s:=soon"],
+        "player": ["-p", "rate:=0.0"],
+        "rimu": ["-p", "scenario:=harbor"],
+        "gps": ["-p", "rate:=1000.0"],
+        "bds": ["-p", "seed:=-5"],
+        "doppler": ["-p", "start_at_ns:=now"],
+        "truth": ["-p", "state_period_s:=0.0"],
+    }
+    for name, (status, lines) in run_all(tmp_path, wrong).items():
+        assert status == 2, (name, lines)
+        assert len(lines) == 1 and "Traceback" not in lines[0], (name, lines)
