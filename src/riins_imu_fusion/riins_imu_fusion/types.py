@@ -113,8 +113,8 @@ class FusedBlock(NamedTuple):
 
 def join(blocks: Sequence[FusedBlock]) -> FusedBlock:
     """Blocks one after the other."""
-    columns = [np.concatenate(column) for column in zip(*(block[:-1] for block in blocks), strict=True)]
-    return FusedBlock._make([*columns, tuple(one for block in blocks for one in block.recalls)])
+    columns = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in FusedBlock._fields[:-1]}
+    return FusedBlock(**columns, recalls=tuple(one for block in blocks for one in block.recalls))
 
 
 @dataclass(frozen=True)
