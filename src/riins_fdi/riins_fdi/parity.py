@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 _BLIND = 1e-6
 """A column of V shorter than this belongs to a sensor that no other one checks."""
+_MOST_RELATED = 24
+"""Sensors the direct comparison takes: 10626 sets of four."""
 _PARALLEL = 1e-9
 """1 - |cos| of two columns of V below which two sensors cannot be told apart."""
 
@@ -128,37 +130,46 @@ def family_threshold(directions: ArrayLike, pfa: float, points: int = 200_000, s
     d = u.shape[1]
     e = np.random.default_rng(seed).standard_normal((points, d))
     e /= np.linalg.norm(e, axis=1, keepdims=True)
-    largest = np.max(np.abs(e @ u.T), axis=1)
+    largest = np.concatenate([np.max(np.abs(part @ u.T), axis=1) for part in np.array_split(e, max(1, points // 10_000))])
     upper = 1.001 * float(chi.isf(pfa, d))  # max |u_i'p| <= |p|
     return float(brentq(lambda t: float(np.mean(chi.sf(t / largest, d))) - pfa, 1e-9, upper, xtol=1e-10))
 
 
 def parity_relations(array: ImuArray) -> tuple[Array, list[tuple[int, ...]]]:
-    """Parity equations of every four sensors, the direct comparison of thesis 4.2.1.
+    """Parity equations of the direct comparison, thesis 4.2.1, for any geometry.
 
     Parameters
     ----------
-    array : n sensors
+    array : n sensors, n <= 24
 
     Returns
     -------
-    relations : (n over 4, n), unit rows r with r H = 0, first coefficient positive; thesis table 4.1 up to scale and sign
-    members : the four sensors of each row
+    relations : (q, n), unit rows r with r H = 0, first coefficient positive; thesis table 4.1 up to scale and sign
+    members : the sensors of each row: every smallest set that has a relation, four in general (all n over 4 of them for a dodecahedron or
+        cone 1), three in one plane, two parallel; ordered by their number, then as the table is
 
     Raises
     ------
     ValueError
-        Four of the sensors have more than one relation (three in a plane, two parallel).
+        More than 24 sensors: their sets of four are too many to look through at every sample.
     """
-    members: list[tuple[int, ...]] = list(itertools.combinations(range(array.n), 4))
-    relations = np.zeros((len(members), array.n))
-    for row, four in enumerate(members):
-        _, singular, vt = np.linalg.svd(array.H[list(four)].T)
-        null = vt[3]
-        if singular[2] < _BLIND or np.min(np.abs(null)) < _BLIND:
-            raise ValueError(f"sensors {[i + 1 for i in four]} have no relation that involves all four")
-        relations[row, list(four)] = null if null[0] > 0.0 else -null
-    return relations, members
+    if array.n > _MOST_RELATED:
+        raise ValueError(f"direct comparison takes at most {_MOST_RELATED} sensors, not {array.n}")
+    members: list[tuple[int, ...]] = []
+    rows: list[Array] = []
+    for size in (2, 3, 4):
+        smaller = [set(m) for m in members]
+        for chosen in itertools.combinations(range(array.n), size):
+            if any(m <= set(chosen) for m in smaller):
+                continue
+            _, singular, vt = np.linalg.svd(array.H[list(chosen)].T)
+            if size == 4 or singular[-1] < _BLIND:  # of four, three span the space: exactly one relation
+                null = vt[size - 1]
+                row = np.zeros(array.n)
+                row[list(chosen)] = null if null[0] > 0.0 else -null
+                members.append(chosen)
+                rows.append(row)
+    return np.array(rows).reshape(-1, array.n), members
 
 
 def fault_identifier(residuals: ArrayLike, threshold: float) -> int:

@@ -63,9 +63,16 @@ def test_the_22_identifiers_of_table_4_2() -> None:
         assert P.fault_identifier(relations @ m, 1e-6) == word
 
 
-def test_direct_comparison_needs_four_that_relate() -> None:
-    with pytest.raises(ValueError, match="no relation"):
-        P.parity_relations(ImuArray(CONFIGURATIONS["orthogonal"]))
+def test_relations_of_any_geometry() -> None:
+    relations, members = P.parity_relations(ImuArray(CONFIGURATIONS["orthogonal"]))
+    assert members == [(0, 1), (2, 3), (4, 5)]  # parallel pairs need no third sensor
+    np.testing.assert_allclose(relations @ CONFIGURATIONS["orthogonal"], 0.0, atol=1e-12)
+    flat, members = P.parity_relations(ImuArray(CONFIGURATIONS["cone2"]))
+    assert members[0] == (0, 1, 2) and all(len(m) == 4 and not {0, 1, 2} <= set(m) for m in members[1:])
+    np.testing.assert_allclose(flat @ CONFIGURATIONS["cone2"], 0.0, atol=1e-12)
+    assert all(np.count_nonzero(np.abs(row) > 1e-6) == len(m) for row, m in zip(flat, members, strict=True))
+    with pytest.raises(ValueError, match="at most 24"):
+        P.parity_relations(ImuArray(np.tile(np.eye(3), (9, 1))))
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)
