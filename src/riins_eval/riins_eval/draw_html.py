@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -151,7 +152,7 @@ def _panel(canvas: go.Figure, row: int, panel: Panel, figure: Figure) -> None:
         canvas.add_trace(
             go.Scatter(
                 x=trace.x, y=trace.y, name=trace.name, mode="markers" if dots else "lines", showlegend=trace.legend, legendgroup=trace.name,
-                marker={"color": trace.color, "size": 4 if trace.style == "dots" else 7, "symbol": "circle" if trace.style == "dots" else "x-thin",
+                marker={"color": trace.color, "size": 3.5 if trace.style == "dots" else 7, "symbol": "circle" if trace.style == "dots" else "x-thin",
                         "line": {"color": trace.color, "width": 0 if trace.style == "dots" else 1.6}} if dots else None,
                 line=None if dots else {"color": trace.color, "width": trace.width, "dash": "dash" if trace.style == "dash" else "solid"},
                 hovertemplate="%{x:.6g}, %{y:.6g}<extra>" + trace.name + "</extra>",
@@ -159,6 +160,8 @@ def _panel(canvas: go.Figure, row: int, panel: Panel, figure: Figure) -> None:
         )  # fmt: skip
     for level, shade in _levels(panel):
         canvas.add_vrect(x0=shade.start, x1=shade.stop, fillcolor="#f59e0b", opacity=0.13, line_width=0, row=row, col=1)
+        if row > 1:
+            continue
         canvas.add_annotation(
             x=shade.start, y=1.0 - 0.1 * level, yref=f"y{'' if row == 1 else row} domain", xref=f"x{'' if row == 1 else row}", text=shade.label,
             showarrow=False, xanchor="left", yanchor="top", font={"size": 10, "color": "#92400e"},
@@ -169,7 +172,8 @@ def _panel(canvas: go.Figure, row: int, panel: Panel, figure: Figure) -> None:
     if panel.log:
         canvas.update_yaxes(type="log", dtick=1, row=row, col=1)
     if panel.y_range:
-        canvas.update_yaxes(range=list(panel.y_range), row=row, col=1)
+        limits = [math.log10(v) for v in panel.y_range] if panel.log else list(panel.y_range)
+        canvas.update_yaxes(range=limits, row=row, col=1)
 
 
 def _timeline(canvas: go.Figure, row: int, panel: Panel) -> None:

@@ -39,13 +39,14 @@ def draw_png(figure: Figure, path: Path, title: str) -> None:
         FigureCanvasAgg(canvas)
         canvas.suptitle(f"{title}: {figure.title.lower()}", fontsize=13, color=INK, x=0.01, ha="left")
         grid = canvas.subplots(len(figure.panels), 1, sharex=not figure.equal, squeeze=False)
-        for axes, panel in zip(grid[:, 0], figure.panels, strict=True):
-            _panel(axes, panel, figure)
+        for row, (axes, panel) in enumerate(zip(grid[:, 0], figure.panels, strict=True)):
+            _panel(axes, panel, figure, labels=row == 0)
+        canvas.align_ylabels()
         grid[-1, 0].set_xlabel(figure.x_label)
         canvas.savefig(path)
 
 
-def _panel(axes: Any, panel: Panel, figure: Figure) -> None:
+def _panel(axes: Any, panel: Panel, figure: Figure, labels: bool) -> None:
     if panel.rows:
         _timeline(axes, panel)
     for shade in panel.shades:
@@ -53,7 +54,7 @@ def _panel(axes: Any, panel: Panel, figure: Figure) -> None:
     for band in panel.bands:
         axes.fill_between(band.x, band.low, band.high, color=band.color, alpha=0.15, linewidth=0, label=band.name if band.legend else None)
     for trace in panel.traces:
-        label = trace.name if trace.legend or trace.style == "crosses" else None
+        label = trace.name if trace.legend else None
         if trace.style == "dots":
             axes.plot(trace.x, trace.y, ".", color=trace.color, markersize=3.5, alpha=0.7, label=label, markeredgewidth=0)
         elif trace.style == "crosses":
@@ -69,15 +70,15 @@ def _panel(axes: Any, panel: Panel, figure: Figure) -> None:
         axes.set_xlim(*figure.x_range)
     if figure.equal:
         axes.set_aspect("equal", adjustable="datalim")
-    for shade, height in _label_heights(panel):
+    for shade, height in _label_heights(panel) if labels else ():
         axes.annotate(
             shade.label, (shade.start, height), xycoords=("data", "axes fraction"), xytext=(3, -2), textcoords="offset points",
             va="top", fontsize=8, color="#92400e",
         )  # fmt: skip
-    handles, labels = axes.get_legend_handles_labels()
+    handles, names = axes.get_legend_handles_labels()
     if handles and not panel.rows:
         best = "best" if figure.equal else "upper right"
-        axes.legend(handles, labels, loc=best, ncols=len(handles) if not figure.equal else 1, fontsize=9)
+        axes.legend(handles, names, loc=best, ncols=len(handles) if not figure.equal else 1, fontsize=9, markerscale=2.0 if figure.equal else 1.0)
 
 
 def _label_heights(panel: Panel) -> list[tuple[Any, float]]:

@@ -202,10 +202,24 @@ def _error_panel(record: RunRecord, clock: _Clock, label: str, error: Floats, si
     stamps = record.settled.stamp_ns
     x, y = clock.line(stamps, error)
     panel = Panel(label, [Trace(x, y, "error", ESTIMATE, legend=first)], shades=clock.shades)
+    highest = _scored_peak(record, np.abs(error), np.zeros(0) if sigma is None else 3.0 * sigma)
+    panel.y_range = (-highest, highest) if highest else None
     if sigma is not None:
         x, bound = clock.line(stamps, 3.0 * sigma)
         panel.bands.append(Band(x, -bound, bound, "3 sigma", ESTIMATE, legend=first))
     return panel
+
+
+def _scored_peak(record: RunRecord, *curves: Floats) -> float | None:
+    """Height of an axis that shows what is scored, where something before it (a start without aids) would dwarf it; None: show all."""
+    if record.pieces or not len(record.settled):
+        return None
+    scored = record.settled.stamp_ns >= record.scoring_from_ns
+    known = [c for c in curves if len(c) == len(scored) and np.isfinite(c).any()]
+    inside = [c[scored & np.isfinite(c)] for c in known]
+    peak = max((float(c.max()) for c in inside if len(c)), default=0.0)
+    everything = max((float(np.nanmax(c)) for c in known), default=0.0)
+    return 1.25 * peak if 0.0 < 3.0 * peak < everything else None
 
 
 def _sigma(record: RunRecord, state: State) -> Floats | None:
@@ -272,6 +286,8 @@ def _position(record: RunRecord, clock: _Clock) -> Figure | None:
         "horizontal [m]", [Trace(*clock.line(record.settled.stamp_ns, np.hypot(error[:, 0], error[:, 1])), "error", ESTIMATE, legend=False)]
     )
     horizontal.shades = clock.shades
+    peak = _scored_peak(record, np.hypot(error[:, 0], error[:, 1]), np.zeros(0) if record.protection_radius is None else record.protection_radius)
+    horizontal.y_range = (0.0, peak) if peak else None
     if record.protection_radius is not None and np.isfinite(record.protection_radius).any():
         x, y = clock.line(record.settled.stamp_ns, record.protection_radius)
         horizontal.traces.append(Trace(x, y, "protection radius", INK, "dash"))
@@ -280,7 +296,7 @@ def _position(record: RunRecord, clock: _Clock) -> Figure | None:
         horizontal.traces.append(Trace(x, y, "from the fault-free twin", REJECTED))
     panels.append(horizontal)
     return Figure(
-        "position", "Position error", "Computed minus true, with the 3-sigma bounds the filter claims.", clock.label, panels, x_range=clock.x_range
+        "position", "Position error", "Computed minus true, with the 3-sigma bounds the filter claims. The axis covers the part that is scored.", clock.label, panels, x_range=clock.x_range
     )
 
 
@@ -337,6 +353,8 @@ def _nis_panel(name: str, judged: Judged, clock: _Clock, first: bool) -> Panel:
     steps = np.flatnonzero(np.r_[True, np.diff(judged.threshold) != 0])[:MOST_POINTS]
     edges = np.unique(np.r_[steps, np.maximum(steps[1:] - 1, 0), len(x) - 1])
     panel.traces.append(Trace(x[edges], judged.threshold[edges], "threshold", INK, "dash", legend=first))
+    top = max(float(np.nanmax(judged.threshold)), float(np.nanmax(nis)) if np.isfinite(nis).any() else 1.0)
+    panel.y_range = (5e-3, 20.0 * top)
     return panel
 
 

@@ -148,7 +148,7 @@ def _numbers(record: RunRecord) -> Score:
     wrong = metrics.false_isolations(record.health, record.faults)
     return {
         "name": record.name,
-        "duration_s": _seconds(settled.stamp_ns[-1] - settled.stamp_ns[0]) if len(settled) else None,
+        "duration_s": _seconds(settled.stamp_ns[-1] - record.start_ns) if len(settled) else None,
         "epochs": int(np.isfinite(length).sum()),
         "position_rms_m": _number(metrics.rms(position)),
         "velocity_rms_mps": _number(metrics.rms(velocity)),
