@@ -191,7 +191,12 @@ def import_file(
     out: Annotated[Path, typer.Option("--out", help="bag directory to write", metavar="BAG")],
     seed: Annotated[int, typer.Option(help="seed of the simulated noise and GNSS", min=0)] = 1,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="sensor-level noise on the six axes (without it parity is exactly zero)")] = True,
-    faults: Annotated[Path | None, typer.Option(help="YAML list of faults to put in, as in a scenario", metavar="FILE")] = None,
+    faults: Annotated[
+        Path | None, typer.Option(help="YAML list of faults to put in, as in a scenario, times from each piece's start", metavar="FILE")
+    ] = None,
+    options: Annotated[
+        Path | None, typer.Option(help="YAML with sections of a scenario: imu, gps, bds, doppler, navigator, ...", metavar="FILE")
+    ] = None,
 ) -> int:
     """Make a bag of a foreign recording: its IMU projected on six axes, its log, simulated GPS and BDS where it has none.
 
@@ -199,8 +204,9 @@ def import_file(
     """
     from riins_eval import importers
 
+    sections = _read_mapping(options)
     with _Progress(f"import {file.name}") as progress:
-        lines = importers.import_npz(file, out, seed=seed, noise=noise, faults=faults, progress=progress)
+        lines = importers.import_npz(file, out, seed=seed, noise=noise, faults=faults, options=sections, progress=progress)
     for line in lines:
         _console().print(line, markup=False, highlight=False, soft_wrap=True)
     return OK
@@ -336,6 +342,21 @@ def _judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | Non
         console.print(f"note: {note}", markup=False, highlight=False)
     _write_json(json_file, {**result, "verdict": {"passed": not failures, "failures": failures}})
     return BAD_RESULT if failures else OK
+
+
+def _read_mapping(path: Path | None) -> dict[str, Any]:
+    """Sections of a YAML file; nothing without a file."""
+    if path is None:
+        return {}
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise typer.BadParameter(f"{path}: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise typer.BadParameter(f"{path}: a mapping of sections is needed")
+    return content
 
 
 def _write_json(path: Path | None, figures: Any) -> None:

@@ -45,6 +45,7 @@ def describe_thesis() -> Described:
     three = Table("configuration", "coherence", title="Table 2.3: coherence of the axes (* best for telling faults apart)")
     for line in imu_array.table_2_3():
         three.add_row(line.name, f"{line.coherence:.4f}{'*' if line.best else ''}")
+    isolation = {name: _isolation(imu_array.ImuArray(H)) for name, H in imu_array.CONFIGURATIONS.items()}
     figures = {
         "table_2_1": {str(s): [row._asdict() for row in rows.values()] for s, rows in by_survivors.items()},
         "table_2_2": [
@@ -52,9 +53,9 @@ def describe_thesis() -> Described:
             for r in imu_array.table_2_2()
         ],
         "table_2_3": [{"name": r.name, "coherence": r.coherence, "best": bool(r.best)} for r in imu_array.table_2_3()],
-        "isolation": {name: _isolation(imu_array.ImuArray(H)) for name, H in imu_array.CONFIGURATIONS.items()},
+        "isolation": isolation,
     }
-    return [one, two, three, *(_isolation_table(name, rows) for name, rows in figures["isolation"].items())], figures
+    return [one, two, three, *(_isolation_table(name, rows) for name, rows in isolation.items())], figures
 
 
 def describe_file(path: Path) -> Described:

@@ -216,24 +216,19 @@ def replay_graph(settings: GraphSettings) -> Graph:
 
     Raises
     ------
-    BagError
+    BagError, RecordError
         The bag cannot be read or does not say with which settings it is to be navigated.
     """
     from riins_bag.bag import BagError, BagReader
     from riins_bag.recording import RAW_TOPICS, selected
-    from riins_federated.config import NavigatorConfig
-    from riins_imu_fusion.config import FusionConfig
+    from riins_eval.run_configuration import read_configuration
 
     with BagReader(settings.bag) as bag:
-        text, topics = bag.configuration(), set(bag.topics)
+        recorded, topics = read_configuration(bag), set(bag.topics)
         if IMU_TOPIC not in topics:
             raise BagError(f"{settings.bag} has no {IMU_TOPIC}: there is nothing to navigate from")
         first_ns, last_ns = bag.span_ns(IMU_TOPIC)
-    recorded = yaml.safe_load(text) if text else None
-    if not isinstance(recorded, dict) or not {"fusion", "navigator"} <= set(recorded):
-        raise BagError(f"{settings.bag} has no settings to navigate with on /riins/configuration; only the raw topics can be played (riins bag play)")
-    fusion, navigator = build(FusionConfig, recorded["fusion"], ("fusion",)), build(NavigatorConfig, recorded["navigator"], ("navigator",))
-    nodes = _consumers(settings, fusion, navigator, str(text))
+    nodes = _consumers(settings, recorded.fusion, recorded.navigator, recorded.text)
     raw = sorted(t for t in topics if selected(t, RAW_TOPICS))
     heard = {t for n in nodes for t in n.subscribes}
     parameters = {
@@ -246,18 +241,9 @@ def replay_graph(settings: GraphSettings) -> Graph:
     nodes.append(_spec(settings, "riins_bag", "player", "source", parameters, publishes=publishes, remappings=moved))
     recorded_s = (last_ns - first_ns) * 1e-9
     duration = min(settings.duration_s, recorded_s) if settings.duration_s > 0.0 else recorded_s
-    scoring = (recorded.get("scenario") or {}).get("scoring") or {}
-    return Graph(
-        tuple(nodes),
-        Path(settings.bag).name,
-        duration,
-        settings.rate,
-        0,
-        False,
-        settings.namespace,
-        lambda _: str(text),
-        float(scoring.get("from_s", 0.0)),
-    )
+    score_from_s = recorded.scenario.scoring.from_s if recorded.scenario else 0.0
+    title, text = Path(settings.bag).name, recorded.text
+    return Graph(tuple(nodes), title, duration, settings.rate, 0, False, settings.namespace, lambda _: text, score_from_s)
 
 
 def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
