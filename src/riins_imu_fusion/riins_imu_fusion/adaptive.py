@@ -1,0 +1,152 @@
+"""Adaptive optimal fusion (AOPT): the optimal filter estimates its own process noise (Sage-Husa) and tracks strongly (fading factor).
+
+Lives here: `AdaptiveFusion` and `AdaptiveSettings`, with what was chosen where the thesis' figure 5.3 is lost.
+Does not live here: the filter's step (optimal.py), noise estimation from autocovariances (noise_estimation.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_core.jit import jit
+from riins_core.kalman import cholesky_into, update_joseph
+from riins_core.settings import setting
+
+from .method import Fused, FusionMethod, Table, TriadModel
+from .optimal import parity_of
+from .wls import weigh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """Settings of the adaptive optimal fusion."""
+
+    forgetting: float = setting(0.995, "forgetting factor b of the process noise estimator; 0.97 and less wander", "", 0.9, 1.0 - 1e-9)
+    softening: float = setting(1.0, "weakening factor beta of the strong tracking: larger is smoother, smaller tracks faster", "", 0.1, 100.0)
+    memory: float = setting(0.95, "rho, weight of the past in the innovation covariance", "", 0.0, 1.0)
+
+
+@jit
+def fade(P: Array, V: Array, factor: float) -> None:
+    """P + (factor - 1) P V' (V P V')^-1 V P in place: what the parity sees of P is multiplied by `factor`, the rest stays.
+
+    Parameters
+    ----------
+    P : (n, n), covariance
+    V : (dof, n)
+    factor : lambda >= 1
+    """
+    n, dof = P.shape[0], V.shape[0]
+    PV, M, L = np.zeros((n, dof)), np.zeros((dof, dof)), np.empty((dof, dof))
+    for i in range(n):
+        for r in range(dof):
+            for j in range(n):
+                PV[i, r] += P[i, j] * V[r, j]
+    for r in range(dof):
+        for s in range(dof):
+            for j in range(n):
+                M[r, s] += V[r, j] * PV[j, s]
+    if not cholesky_into(M, L):  # nothing is uncertain: nothing to fade
+        return
+    for i in range(n):
+        for r in range(dof):
+            for s in range(r):
+                PV[i, r] -= PV[i, s] * L[r, s]
+            PV[i, r] /= L[r, r]
+    for i in range(n):
+        for j in range(n):
+            for r in range(dof):
+                P[i, j] += (factor - 1.0) * PV[i, r] * PV[j, r]
+
+
+@jit
+def adaptive_block(
+    d: Array, P: Array, Q: Array, V0: Array, count: Array, b: float, beta: float, rho: float, R: Array, V: Array, RV: Array, W: Array, z: Array,
+    x: Array, cov: Array, drift: Array,
+) -> None:  # fmt: skip
+    """Samples one after the other.
+
+    Parameters
+    ----------
+    d, P, Q : (n,), (n, n), (n,), drifts, their covariance, process noise, in place
+    V0 : (1,), trace of the innovation covariance, in place
+    count : (1,), samples so far, in place
+    b, beta, rho : see `AdaptiveSettings`
+    R, V, RV, W, z, x, cov, drift : as in `optimal_block`
+    """
+    n, dof = z.shape[1], V.shape[0]
+    p, dz, S, e = np.empty(dof), np.empty(dof), np.empty((dof, dof)), np.empty(dof)
+    before, old = np.empty(n), np.empty(n)
+    for k in range(z.shape[0]):
+        if dof > 0:
+            parity_of(V, z[k], p)
+            square, noise, seen = 0.0, 0.0, 0.0
+            for r in range(dof):
+                s = p[r]
+                for i in range(n):
+                    s -= V[r, i] * d[i]
+                    for j in range(n):
+                        seen += V[r, i] * P[i, j] * V[r, j]
+                square += s * s
+                noise += RV[r, r]
+            V0[0] = square if count[0] == 0.0 else (rho * V0[0] + square) / (1.0 + rho)
+            for i in range(n):
+                before[i] = d[i]
+                old[i] = P[i, i]
+            if seen > 0.0 and V0[0] - beta * noise > seen:
+                fade(P, V, (V0[0] - beta * noise) / seen)
+        for i in range(n):
+            P[i, i] += Q[i]
+        if dof > 0:
+            update_joseph(d, P, p, V, RV, dz, S, e)
+            weight = (1.0 - b) / (1.0 - b ** (count[0] + 1.0))
+            for i in range(n):
+                Q[i] = max(0.0, (1.0 - weight) * Q[i] + weight * ((d[i] - before[i]) ** 2 + P[i, i] - old[i]))
+            count[0] += 1.0
+        weigh(W, z[k], d, R, P, x[k], cov[k])
+        for i in range(n):
+            drift[k, i] = d[i]
+
+
+class AdaptiveFusion(FusionMethod):
+    """AOPT, thesis 5.3: the filter of `OptimalFusion` whose Q is estimated as it goes, with a fading factor.
+
+    Notes
+    -----
+    Printed: d_k = (1 - b) / (1 - b^(k+1)), lambda of (5-71)-(5-75). Figure 5.3, with the estimator itself, is lost. Chosen:
+
+    - Sage and Husa's Q <- (1 - d_k) Q + d_k (K r r' K' + P_k - P_(k-1)), A = I, P_(k-1) before fading; in (5-75) the V0 on the right is the last one;
+    - only the diagonal of Q is kept, not below zero. With the full matrix K r lies in the range of T' for ever, and the method is least squares;
+    - lambda is applied to what the parity sees of P, not to all of P: fading all of it, as printed, multiplies the variance in range(H) each time
+      with nothing to bring it down: 1e12 times the drift after 200 s, and with b = 0.97 the output diverges;
+    - the coefficient gamma, never explained, is 1;
+    - a model's equal Q is only where it begins: the first sample replaces it (d_0 = 1).
+
+    Nobody tells it which sensor is bad: it marks those whose drift estimate moved. It is no isolation: the body error of one drift falls by a few per cent,
+    and what the thesis shows is as much the geometry of its flight.
+    """
+
+    name = "aopt"
+    title = "adaptive optimal fusion"
+
+    def __init__(self, model: TriadModel, settings: AdaptiveSettings | None = None) -> None:
+        self.settings = settings or AdaptiveSettings()
+        super().__init__(model)
+
+    def _begin(self) -> tuple[Array, ...]:
+        return np.zeros(self.model.array.n), np.diag(self.model.P), self.model.Q.copy(), np.zeros(1), np.zeros(1)
+
+    def _run(self, table: Table, z: Array, out: Fused) -> None:
+        s = self.settings
+        args = (table.V, table.R, table.W, z, out.x, out.covariance, out.drift)
+        adaptive_block(*self._state, s.forgetting, s.softening, s.memory, self.model.R, *args)
+
+    @property
+    def process_noise(self) -> Array:
+        """(n,), Q as estimated, for one sample."""
+        return self._state[2].copy()
