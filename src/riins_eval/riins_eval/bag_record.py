@@ -49,7 +49,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
     Parameters
     ----------
     bag : rosbag2 directory with /nav/settled
-    twins : True: sail the scenario again for the fault-free twin and the oracle where the bag lacks them; None: where that takes seconds; False: do not
+    twins : True: sail the scenario again for the fault-free twin and the oracle where the bag lacks them; None: where that takes seconds; False: no
     progress : called with (seconds done, seconds in all) while the twins sail
 
     Returns
@@ -77,12 +77,14 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
         scenario = configuration.scenario
         record = RunRecord(
             _name(configuration, reader), settled, reference_at(read_reference(reader), settled.stamp_ns),
-            description=scenario.description if scenario else "", covariance=_covariance(reader, settled), mode=columns["mode"][index].astype(np.int64),
+            description=scenario.description if scenario else "", covariance=_covariance(reader, settled),
+            mode=columns["mode"][index].astype(np.int64),
             protection_radius=columns["protection_radius"][index], judged=_judged(reader),
             health=sorted(_sensor_health(reader) + _subfilter_health(reader), key=lambda c: c.stamp_ns),
             faults=fault_intervals(faults, start_ns, ends), origin_ns=start_ns,
             scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=_sensor_use(reader), samples=_samples(reader),
-            n_sensors=configuration.fusion.array().n, pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in configuration.recording.get("pieces", [])],
+            n_sensors=configuration.fusion.array().n,
+            pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in configuration.recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
         )  # fmt: skip
@@ -123,7 +125,7 @@ def reference_at(reference: Track, stamp_ns: Stamps) -> Track:
     Track of m epochs; position by a cubic through both positions and velocities, velocity linear, attitude along the rotation between both
     """
     m = len(stamp_ns)
-    nothing = Track(stamp_ns, *(np.full(m, np.nan) for _ in range(3)), np.full((m, 3), np.nan), np.full((m, 3), np.nan))
+    nothing = Track(stamp_ns, np.full(m, np.nan), np.full(m, np.nan), np.full(m, np.nan), np.full((m, 3), np.nan), np.full((m, 3), np.nan))
     if len(reference) < 2:
         return nothing
     right = np.clip(np.searchsorted(reference.stamp_ns, stamp_ns), 1, len(reference) - 1)

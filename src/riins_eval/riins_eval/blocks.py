@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.rotation import euler_from_dcm
-from riins_node.fields import IMU, MAP_NED, header
+from riins_node.fields import MAP_NED, header
 from riins_sim.trajectory import Truth
 
 from .run_record import Stamps, Track
@@ -148,31 +148,3 @@ def _euler_sigmas(roll: Floats, pitch: Floats, heading: Floats, phi: Floats) -> 
     jacobian = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     variance = np.einsum("kij,kjl,kil->ki", jacobian, phi, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def inertial_fdi(status: Any) -> Fields:
-    """riins_msgs/InertialFdi of a riins_imu_fusion FdiStatus."""
-    counters = ("received", "fused", "lost", "rejected_length", "rejected_stamp", "rejected_no_solution", "restarts")
-    return {
-        "header": header(int(status.stamp_ns), IMU),
-        "gyro": _triad(status.gyro),
-        "accel": _triad(status.accel),
-        **{name: int(getattr(status.counters, name)) for name in counters},
-        "text": status.text,
-    }
-
-
-def _triad(triad: Any) -> Fields:
-    return {
-        "parity": np.asarray(triad.parity, np.float64),
-        "statistic": float(triad.statistic),
-        "threshold": float(triad.threshold) if np.isfinite(triad.threshold) else float("nan"),
-        "dof": int(triad.dof),
-        "detected": bool(triad.detected),
-        "suspect": int(triad.suspect),
-        "state": np.asarray(triad.state, np.uint8),
-        "reason": np.asarray(triad.reason, np.uint8),
-        "since": [max(0, int(stamp)) for stamp in triad.since_ns],  # a sensor that never changed has a stamp before all time
-        "drift": np.asarray(triad.drift, np.float64),
-        "capability": int(triad.capability),
-    }

@@ -30,7 +30,8 @@ p { margin: 0 0 10px; color: var(--muted); max-width: 75ch }
 .badge.passed { background: var(--good) } .badge.failed { background: var(--bad) }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; margin: 0 0 16px }
 section, .card { background: #fff; border: 1px solid var(--line); border-radius: 10px }
-.card { padding: 12px 16px } .card b { display: block; font-size: 24px; font-variant-numeric: tabular-nums } .card span { color: var(--muted); font-size: 13px }
+.card { padding: 12px 16px } .card b { display: block; font-size: 24px; font-variant-numeric: tabular-nums }
+.card span { color: var(--muted); font-size: 13px }
 .card small { font-size: 14px; font-weight: 500; color: var(--muted) }
 section { padding: 18px 20px; margin: 0 0 16px } .failures li { color: var(--bad) } ul { margin: 6px 0 0; padding-left: 20px }
 .wide { overflow-x: auto } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums }
@@ -38,7 +39,8 @@ th { text-align: left; font-weight: 600; font-size: 13px; color: var(--muted) }
 td, th { padding: 6px 14px 6px 0; border-bottom: 1px solid var(--line); vertical-align: top } tr:last-child td { border-bottom: 0 }
 td.number { text-align: right; white-space: nowrap } td.unit { color: var(--muted); width: 30% } .no { color: var(--bad); font-weight: 600 }
 .two { display: grid; grid-template-columns: minmax(0, 1fr); gap: 0 16px }
-nav { margin: 0 0 16px; display: flex; flex-wrap: wrap; gap: 4px 16px } nav a { color: var(--accent); text-decoration: none } nav a:hover { text-decoration: underline }
+nav { margin: 0 0 16px; display: flex; flex-wrap: wrap; gap: 4px 16px }
+nav a { color: var(--accent); text-decoration: none } nav a:hover { text-decoration: underline }
 footer { color: var(--muted); font-size: 13px } @media print { body { background: #fff } section { break-inside: avoid } nav { display: none } }
 """
 
@@ -80,7 +82,8 @@ def page(
         "<!DOCTYPE html><html lang=en><head><meta charset=utf-8><meta name=viewport content='width=device-width, initial-scale=1'>",
         f"<title>{_text(title)} - RIINS report</title><style>{_STYLE}</style>",
         f"<script>{get_plotlyjs()}</script></head><body><main>",
-        f"<div class=top><div><h1>{_text(title)}</h1><p>{_text(description)}</p><p>{_text(facts)}</p></div><div class='badge{kind}'>{word}</div></div>",
+        f"<div class=top><div><h1>{_text(title)}</h1><p>{_text(description)}</p><p>{_text(facts)}</p></div>",
+        f"<div class='badge{kind}'>{word}</div></div>",
         "<div class=cards>"
         + "".join(f"<div class=card><b>{_text(v)} <small>{_text(u)}</small></b><span>{_text(w)}</span></div>" for v, u, w in cards)
         + "</div>",
@@ -185,7 +188,8 @@ def _timeline(canvas: go.Figure, row: int, panel: Panel) -> None:
         thin = state == "fault"
         canvas.add_trace(
             go.Bar(
-                y=[names[b.row] for b in bars], x=[b.stop - b.start for b in bars], base=[b.start for b in bars], orientation="h", name="fault in force" if thin else state,
+                y=[names[b.row] for b in bars], x=[b.stop - b.start for b in bars], base=[b.start for b in bars], orientation="h",
+                name="fault in force" if thin else state,
                 marker={"color": color, "line": {"width": 0}}, width=0.1 if thin else 0.68, offset=-0.46 if thin else -0.32,
                 customdata=[b.stop for b in bars], hovertemplate="%{y}: %{base:.6g} to %{customdata:.6g}<extra>" + state + "</extra>",
             ), row=row, col=1,

@@ -1,7 +1,7 @@
-"""A foreign recording becomes a bag that the graph can replay: real IMU on redundant axes, real log, GNSS as recorded or simulated from the reference.
+"""A foreign recording becomes a bag that the graph can replay: real IMU on redundant axes, real log, GNSS as recorded or simulated.
 
 Lives here: `import_npz`.
-Does not live here: reading files (npz_recording.py), motion between the epochs of the reference (reference.py), sensors and faults (riins_sim).
+Does not live here: files (npz_recording.py), settings (import_settings.py), motion between epochs (reference.py), sensors and faults (riins_sim).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import yaml
 from numpy.typing import NDArray
 
 from riins_core.earth import radii
-from riins_core.settings import SettingError, build
 from riins_federated.types import InitialState
 from riins_sim.course import KNOT
-from riins_sim.faults import Fault, FaultSchedule, FaultSettings, Sample
+from riins_sim.faults import Fault, FaultSchedule, Sample
 from riins_sim.initial import initial_state
 from riins_sim.scenario import Scenario
 from riins_sim.sensors import PositionBlock, PositionSim, RawBlock, RedundantImuSim, VelocityBlock
 
 from . import configure
+from .import_settings import import_scenario, read_fault_list
 from .npz_recording import ImportFailure, NpzRecording, Piece, load
 from .recording import RunWriter
 from .reference import RecordedMotion, fit_reference_lever, reference_at_imu
@@ -40,22 +40,7 @@ UNIX_S = 1e9
 GAP_S = 10.0
 """Between the pieces of a recording in the bag: longer than any max_delay, so that the run restarts, and no longer to wait for than that."""
 TRUTH_HZ = 10
-SURFACE_RANGE_M = 10.0
-"""A vehicle whose height stays within this is taken for a ship, which keeps to its mean height."""
 CHUNK = 1000
-
-DEFAULTS: dict[str, Any] = {
-    "imu": {"gyro": {"arw_deg_sqrt_h": 0.02}, "accel": {"vrw_ug_sqrt_hz": 50.0}},
-    "gps": {"period_s": 1.0, "sigma_m": [3.0, 3.0, 6.0], "velocity_sigma_mps": 0.1},
-    "bds": {"period_s": 1.0, "sigma_m": [5.0, 5.0, 10.0], "velocity_sigma_mps": 0.15},
-    "initial": {"position_m": 5.0, "height_m": 2.0, "velocity_mps": 0.1, "tilt_arcsec": 120.0, "heading_arcmin": 30.0},
-    "scoring": {"from_s": 60.0},
-}
-"""Sections of a scenario for a recording that says nothing of them. The IMU's noise is what is put on each sensor, beside the recorded one."""
-INERTIAL = {"gyro_bias_deg_h": 0.1, "gyro_markov_deg_h": 0.02, "gyro_arw_deg_sqrt_h": 0.1, "accel_bias_ug": 500.0, "accel_vrw_ug_sqrt_hz": 300.0}
-"""What the filter assumes of a recorded IMU that it does not know: navigation grade, with room for vibration and for the reference's own attitude noise."""
-LOG_FLOOR_MPS = 0.05
-"""A log states its white noise; mounting, sound speed and current make errors that last, and the filter has no state for those."""
 
 
 def import_npz(
@@ -93,7 +78,7 @@ def import_npz(
         The bag cannot be written.
     """
     recording, lever_note = _at_imu(load(path), reference_lever_m)
-    scenario = _scenario(recording, seed, noise, _faults(faults), dict(options or {}))
+    scenario = import_scenario(recording, seed, noise, read_fault_list(faults), options or {})
     placed = _place(recording)
     notes = [*_notes(recording, scenario, placed, noise), *lever_note]
     total, done = sum(p.motion.duration for p in placed), 0.0
@@ -147,7 +132,7 @@ def _at_imu(recording: NpzRecording, given: Sequence[float] | None) -> tuple[Npz
     else:
         lever, sigma, before, after = fit_reference_lever([(m, p.reference) for m, p in zip(motions, recording.pieces, strict=True)])
         # a wrong lever arm is worse than none: it must be seen clearly and explain most of what does not close
-        if not (np.linalg.norm(lever) > max(5.0 * np.linalg.norm(sigma), 0.05) and after < 0.5 * before):
+        if float(np.linalg.norm(lever)) <= max(5.0 * float(np.linalg.norm(sigma)), 0.05) or after >= 0.5 * before:
             return recording, []
         words = f"found from its turns: velocity over an epoch then closes to {1e3 * after:.1f} mm/s instead of {1e3 * before:.1f}"
     if not lever.any():
@@ -158,7 +143,7 @@ def _at_imu(recording: NpzRecording, given: Sequence[float] | None) -> tuple[Npz
     ]
     log_lever = recording.log_lever + lever if recording.log_lever is not None else None
     place = ", ".join(f"{v:+.2f}" for v in lever)
-    note = f"The reference holds at a point {place} m (forward, starboard, down) from the IMU ({words}); it and the log's lever arm are moved to the IMU."
+    note = f"The reference holds {place} m (forward, starboard, down) from the IMU ({words}); it and the log's lever arm are moved to the IMU."
     return dataclasses.replace(recording, pieces=pieces, log_lever=log_lever), [note]
 
 
@@ -179,80 +164,6 @@ def _place(recording: NpzRecording) -> list[_Placed]:
             start = round(piece.t[first] * 1e9) if piece.t[first] > UNIX_S else EPOCH_S * 1_000_000_000
         placed.append(_Placed(piece, motion, used, start, number))
     return placed
-
-
-def _scenario(recording: NpzRecording, seed: int, noise: bool, faults: list[dict[str, Any]], options: dict[str, Any]) -> Scenario:
-    """The settings of the import in the form of a scenario, so that everything that reads one reads them."""
-    height = [p.reference[:, 3] for p in recording.pieces]
-    known = np.concatenate(height)[np.isfinite(np.concatenate(height))]
-    surface = recording.reference_range_m() <= SURFACE_RANGE_M
-    reference = any(np.isfinite(p.reference).all(axis=1).sum() > 1 for p in recording.pieces)
-    gnss = any(len(p.gnss) for p in recording.pieces)
-    log = any(len(p.log_t) for p in recording.pieces)
-    first = next((p.reference[np.isfinite(p.reference).all(axis=1)][0] for p in recording.pieces if np.isfinite(p.reference).all(axis=1).any()), np.zeros(10))
-    sigma = recording.log_sigma if recording.log_sigma is not None else np.full(3, 0.05)
-    lever = recording.log_lever if recording.log_lever is not None else np.zeros(3)
-    times = np.concatenate([p.log_t[:-1] for p in recording.pieces if len(p.log_t) > 1] or [np.zeros(0)])
-    steps = np.concatenate([np.diff(p.log_t) for p in recording.pieces if len(p.log_t) > 1] or [np.ones(1)])
-    own = configure.merged(DEFAULTS, {
-        "name": "".join(c if c.isalnum() or c in "_-" else "_" for c in recording.path.stem) or "recording",
-        "description": f"Recording {recording.path.name}.",
-        "seed": seed,
-        "duration_s": max(1.0, *(float(p.t[-1] - p.t[0]) for p in recording.pieces)),
-        "imu_rate_hz": recording.rate_hz,
-        "start": {"latitude_deg": float(np.degrees(first[1])), "longitude_deg": float(np.degrees(first[2])),
-                  "height_m": float(np.mean(known)) if len(known) else 0.0},
-        "doppler": {"enabled": log, "period_s": float(np.median(steps)) if len(times) else 1.0, "sigma_kn": (sigma / KNOT).tolist(),
-                    "misalignment_deg": 0.25, "lever_arm_m": lever.tolist()},
-        "gps": {"enabled": gnss or reference},
-        "bds": {"enabled": reference},
-        "navigator": {
-            "inertial": INERTIAL,
-            "height": {"enabled": surface},
-            "gps": {"use_height": not surface},
-            "bds": {"use_height": not surface},
-            "doppler": {"use_down": not surface, "sigma_floor_mps": LOG_FLOOR_MPS},
-        },
-        "faults": faults,
-    })  # fmt: skip
-    if gnss and recording.gnss_sigma is not None:
-        own["gps"] = configure.merged(own["gps"], {"sigma_m": recording.gnss_sigma[:3].tolist(), "velocity_sigma_mps": float(recording.gnss_sigma[3])})
-    values = configure.merged(own, options)
-    if not noise:
-        values = configure.merged(values, {"imu": {"gyro": {"arw_deg_sqrt_h": 0.0}, "accel": {"vrw_ug_sqrt_hz": 0.0}}})
-    try:
-        scenario = build(Scenario, values)
-        configure.fusion_config(scenario)
-        configure.navigator_config(scenario)
-    except SettingError as error:
-        raise ImportFailure(f"settings of the import: {error}") from None
-    if scenario.initial.self_aligned:
-        raise ImportFailure("settings of the import: initial.self_aligned needs simulated sensors, whose biases are known")
-    return scenario
-
-
-def _faults(given: str | Path | Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
-    if given is None:
-        return []
-    where = "faults"
-    if isinstance(given, str | Path):
-        where = str(given)
-        try:
-            given = yaml.safe_load(Path(given).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise ImportFailure(f"{where}: cannot be read: {error.strerror if isinstance(error, OSError) else error}") from None
-        except yaml.YAMLError as error:
-            raise ImportFailure(f"{where}: {' '.join(str(error).split())}") from None
-        if isinstance(given, Mapping) and set(given) == {"faults"}:
-            given = given["faults"]
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise ImportFailure(f"{where}: a list of faults is wanted, each like {{target: gps, type: step, size_m: 60, start_s: 100, end_s: 200}}")
-    for number, entry in enumerate(given):
-        try:
-            build(FaultSettings, entry)
-        except SettingError as error:
-            raise ImportFailure(f"{where}: fault {number + 1}: {error}") from None
-    return [dict(entry) for entry in given]
 
 
 def _write_piece(writer: RunWriter, recording: NpzRecording, scenario: Scenario, placed: _Placed) -> None:
@@ -308,9 +219,7 @@ def _write_simulated_fixes(writer: RunWriter, scenario: Scenario, placed: _Place
     if last >= first:
         block = receiver.block(first, last - first + 1, schedule)
         good = np.isfinite(block.lat)
-        block = dataclasses.replace(
-            block, **{f: getattr(block, f)[good] for f in ("k", "stamp_ns", "lat", "lon", "h", "has_fix", "v_n")}
-        )
+        block = dataclasses.replace(block, **{f: getattr(block, f)[good] for f in ("k", "stamp_ns", "lat", "lon", "h", "has_fix", "v_n")})
         writer.position(name, placed.start_ns + block.stamp_ns, block)
 
 
@@ -327,7 +236,15 @@ def _write_recorded_gps(writer: RunWriter, recording: NpzRecording, scenario: Sc
     has_fix = _outages(scenario, "gps", stamps) & np.isfinite(place).all(axis=1)
     has_fix &= schedule.apply_aid("gps", stamps, 1, place, lambda t: _before(t, stamps, gnss[:, 1:4], per_metre), per_metre)
     block = PositionBlock(
-        np.arange(1, len(gnss) + 1), stamps, place[:, 0], place[:, 1], place[:, 2], np.diag(sigma[:3] ** 2), has_fix, gnss[:, 4:7], np.diag(sigma[3:] ** 2)
+        np.arange(1, len(gnss) + 1),
+        stamps,
+        place[:, 0],
+        place[:, 1],
+        place[:, 2],
+        np.diag(sigma[:3] ** 2),
+        has_fix,
+        gnss[:, 4:7],
+        np.diag(sigma[3:] ** 2),
     )
     writer.position("gps", placed.start_ns + stamps, block)
 
@@ -398,7 +315,7 @@ def _notes(recording: NpzRecording, scenario: Scenario, placed: list[_Placed], n
     n = 2 * len(configure.fusion_config(scenario).array().H)
     names = {"gps": "GPS", "bds": "BDS"}
     notes = [f"IMU: real, projected on {n} axes ({scenario.imu.configuration})" + (
-        f" with white noise of {scenario.imu.gyro.arw_deg_sqrt_h:g} deg/sqrt(h) and {scenario.imu.accel.vrw_ug_sqrt_hz:g} ug/sqrt(Hz) put on each sensor."
+        f" with {scenario.imu.gyro.arw_deg_sqrt_h:g} deg/sqrt(h) and {scenario.imu.accel.vrw_ug_sqrt_hz:g} ug/sqrt(Hz) of white noise put on each."
         if noise else " without noise of their own: the sensors agree exactly, parity is zero."
     )]  # fmt: skip
     if not recording.kind:
@@ -413,7 +330,9 @@ def _notes(recording: NpzRecording, scenario: Scenario, placed: list[_Placed], n
     if not any(p.has_reference for p in placed):
         notes.append("There is no reference: no truth and no initial state; give one with SetInitialState.")
     else:
-        notes.append("Truth: the recording's reference, brought to 10 Hz by the IMU between its epochs; a score is a distance to it, not an accuracy.")
+        notes.append(
+            "Truth: the recording's reference, brought to 10 Hz by the IMU between its epochs; a score is a distance to it, not an accuracy."
+        )
     cut = sum(int(p.used.start or 0) for p in placed)
     if cut:
         notes.append(f"{cut} IMU samples before the reference begins are left out.")

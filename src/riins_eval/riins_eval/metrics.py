@@ -1,6 +1,6 @@
 """Measures of a navigation solution against a reference, on plain arrays.
 
-Lives here: errors, RMS, normalized errors (NEES, NIS), distances between two runs, detection of faults; conventions as in the design (computed minus true).
+Lives here: errors, RMS, normalized errors (NEES, NIS), distances between two runs, detection of faults; errors are computed minus true.
 Does not live here: which epochs count and what the numbers are called (score.py).
 """
 
@@ -109,8 +109,7 @@ def nees(error: Floats, covariance: Floats) -> Floats:
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     # units differ by ten orders of magnitude between position and attitude: scale to correlations before the solve
     sigma = np.sqrt(np.where(known[:, None], np.einsum("kii->ki", covariance), 1.0).clip(min=0.0))
-    known &= (sigma > 0.0).all(axis=1)
-    index = np.flatnonzero(known)
+    index = np.flatnonzero(known & (np.min(sigma, axis=1) > 0.0))
     correlation = covariance[index] / (sigma[index, :, None] * sigma[index, None, :])
     scaled = error[index] / sigma[index]
     try:

@@ -98,7 +98,9 @@ def load(path: str | Path) -> NpzRecording:
     arrays = _read(path)
     count = int(_required(arrays, "n_imu", path, 0))
     if count != 1:
-        raise ImportFailure(f"{path.name}: the recording has {count} IMUs, each with axes and a clock of its own: importing several IMUs is not possible yet")
+        raise ImportFailure(
+            f"{path.name}: the recording has {count} IMUs, each with axes and a clock of its own: importing several IMUs is not possible yet"
+        )
     t = _required(arrays, "imu_t", path, 1) if "imu_t" in arrays else _required(arrays, "imu_t_0", path, 1)
     gyro, accel = (_required(arrays, name, path, 2, (len(t), 3)) for name in ("gyro_0", "accel_0"))
     for name, array in (("imu_t", t), ("gyro_0", gyro), ("accel_0", accel)):
@@ -122,7 +124,13 @@ def load(path: str | Path) -> NpzRecording:
     if kind not in ("", "mean", "instantaneous"):
         raise ImportFailure(f'{path.name}: imu_values must be "mean" or "instantaneous", not "{kind}"')
     return NpzRecording(
-        path, rate_hz, pieces, _vector(arrays, "dvl_std", 3, path), _vector(arrays, "dvl_lever_frd", 3, path), _vector(arrays, "gnss_std", 6, path), kind
+        path,
+        rate_hz,
+        pieces,
+        _vector(arrays, "dvl_std", 3, path),
+        _vector(arrays, "dvl_lever_frd", 3, path),
+        _vector(arrays, "gnss_std", 6, path),
+        kind,
     )
 
 
@@ -194,7 +202,9 @@ def _in_order(numbers: NDArray[np.generic]) -> list[int]:
     return [int(numbers[i]) for i in sorted(first)]
 
 
-def _piece(arrays: Mapping[str, NDArray[np.generic]], path: Path, number: int, mine: NDArray[np.bool_], t: Floats, rate: Floats, force: Floats) -> Piece:
+def _piece(
+    arrays: Mapping[str, NDArray[np.generic]], path: Path, number: int, mine: NDArray[np.bool_], t: Floats, rate: Floats, force: Floats
+) -> Piece:
     t, rate, force = t[mine], rate[mine], force[mine]
     if len(t) < 2 or (np.diff(t) <= 0.0).any():
         raise ImportFailure(f"{path.name}: the time of the IMU does not increase in piece {number}")

@@ -234,7 +234,7 @@ class _Voyage:
             writer.federated(*copy_with_state(report, change, text))
         writer.federated(report)
         for status in statuses:
-            writer.inertial(blocks.inertial_fdi(status), int(status.stamp_ns))
+            writer.inertial(status)
 
     def _record(self, realtime_factor: float) -> RunRecord:
         lane, end_ns = self.lane, self.start + int(self.imu.stamp_ns(self.imu.samples)) + 1

@@ -175,7 +175,7 @@ class _Clock:
         return (max(stamp_ns, self.start_ns) - self.start_ns) * 1e-9 / self.scale
 
     def of(self, stamp_ns: NDArray[np.int64]) -> Floats:
-        return (stamp_ns - self.start_ns) * 1e-9 / self.scale
+        return np.asarray((stamp_ns - self.start_ns) * 1e-9 / self.scale, dtype=np.float64)
 
     @property
     def x_range(self) -> tuple[float, float]:
@@ -296,7 +296,12 @@ def _position(record: RunRecord, clock: _Clock) -> Figure | None:
         horizontal.traces.append(Trace(x, y, "from the fault-free twin", REJECTED))
     panels.append(horizontal)
     return Figure(
-        "position", "Position error", "Computed minus true, with the 3-sigma bounds the filter claims. The axis covers the part that is scored.", clock.label, panels, x_range=clock.x_range
+        "position",
+        "Position error",
+        "Computed minus true, with the 3-sigma bounds the filter claims. The axis covers the part that is scored.",
+        clock.label,
+        panels,
+        x_range=clock.x_range,
     )
 
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from riins_bag.bag import BagReader, BagWriter, serialize
 from riins_core.frames import LocalFrame
+from riins_imu_fusion.reporting import inertial_fdi
+from riins_imu_fusion.types import FdiStatus
 from riins_node import fields
 from riins_sim.sensors import PositionBlock, RawBlock, VelocityBlock
 from riins_sim.trajectory import Truth
@@ -114,23 +116,13 @@ class RunWriter:
             return
         rate = _by_mask(block.gyro_used, pipeline.rate_covariance)
         force = _by_mask(block.accel_used, pipeline.force_covariance)
-        drift = np.zeros(pipeline.n)
+        gyro_drift, accel_drift = pipeline.drift
         angle, velocity, onset = block.recalled()
         content = fields.fused_imu(
-            block.stamp_ns,
-            block.sequence,
-            block.rate,
-            block.force,
-            rate,
-            force,
-            block.gyro_used,
-            block.accel_used,
-            gyro_drift=drift,
-            accel_drift=drift,
-            angle_recall=angle,
-            velocity_recall=velocity,
-            recall_onset_ns=onset,
-        )
+            block.stamp_ns, block.sequence, block.rate, block.force, rate, force, block.gyro_used, block.accel_used,
+            gyro_drift, accel_drift,
+            angle_recall=angle, velocity_recall=velocity, recall_onset_ns=onset,
+        )  # fmt: skip
         self._bag.write_block("/imu/fused", FUSED_IMU, block.stamp_ns, content)
 
     def settled(self, solutions: Sequence[Any], labels: Sequence[str]) -> None:
@@ -160,10 +152,10 @@ class RunWriter:
         if self.nav and report.stamp_ns > 0:
             self._bag.write_message("/nav/subfilters", FEDERATED, fields.federated_status(report, text), int(report.stamp_ns))
 
-    def inertial(self, message: dict[str, Any], stamp_ns: int) -> None:
-        """State of the redundant IMU, the fields of riins_msgs/InertialFdi."""
+    def inertial(self, status: FdiStatus) -> None:
+        """State of the redundant IMU."""
         if self.nav:
-            self._bag.write_message("/fdi/status", INERTIAL, message, stamp_ns)
+            self._bag.write_message("/fdi/status", INERTIAL, inertial_fdi(status), int(status.stamp_ns))
 
     def evaluation(self, topic: str, track: Track) -> None:
         """States of the fault-free twin or of the oracle."""

@@ -210,8 +210,8 @@ def fit_reference_lever(pieces: list[tuple[RecordedMotion, Floats]]) -> tuple[Fl
 
     Notes
     -----
-    Mechanized from one epoch to the next the IMU misses the reference's velocity by the change of C_nb (w x l): linear in the lever arm l, which every
-    turn shows. Least squares over all intervals of at most 2 s.
+    Mechanized from one epoch to the next the IMU misses the reference's velocity by the change of C_nb (w x l): linear in the lever arm l, which
+    every turn shows. Least squares over all intervals of at most 2 s.
     """
     matrices: list[Floats] = []
     misses: list[Floats] = []
@@ -233,8 +233,8 @@ def fit_reference_lever(pieces: list[tuple[RecordedMotion, Floats]]) -> tuple[Fl
         return np.zeros(3), np.zeros(3), 0.0, 0.0
     lever = np.linalg.solve(normal, A.T @ z)
     rest = z - A @ lever
-    sigma = np.sqrt(np.mean(rest**2) * np.diag(np.linalg.inv(normal)))
-    return lever, sigma, float(np.sqrt(np.mean(z**2))), float(np.sqrt(np.mean(rest**2)))
+    sigma = np.asarray(np.sqrt(np.mean(rest**2) * np.diag(np.linalg.inv(normal))), dtype=np.float64)
+    return np.asarray(lever, dtype=np.float64), sigma, float(np.sqrt(np.mean(z**2))), float(np.sqrt(np.mean(rest**2)))
 
 
 def _nav(row: Floats) -> Floats:

@@ -22,7 +22,6 @@ from riins_federated.types import Aid, InitialState
 from riins_imu_fusion.types import FusedBlock, join
 from riins_node import readings
 
-from . import blocks
 from . import score as scoring
 from .bag_record import read_faults, read_fixes, read_reference, reference_at, run_start
 from .lane import FusionLog, Lane, copy_with_state, fault_intervals, warm_up
@@ -162,13 +161,17 @@ class _Run:
                 for k in range(piece.start, piece.stop):
                     self.pipeline.reject_length(int(part.stamp_ns[k]), int(part.sequence[k]), int(part.gyros[k]), int(part.accels[k]))
                 continue
-            n = self.pipeline.n  # columns are as wide as the longest message of the window
-            out.append(self.pipeline.process(
-                part.stamp_ns[piece], part.sequence[piece], part.gyro[piece, :n], part.accel[piece, :n], part.gyro_valid[piece], part.accel_valid[piece]
-            ))  # fmt: skip
+            out.append(self._process(part, piece))
+        if not out:  # nothing but samples of the wrong length
+            out.append(self._process(part, slice(0, 0)))
         fused = out[0] if len(out) == 1 else join(out)
         self.fusion.add(fused, self.pipeline.drain_events())
         return fused
+
+    def _process(self, part: _Window, rows: slice) -> FusedBlock:
+        n = self.pipeline.n  # columns are as wide as the longest message of the window
+        gyro, accel = part.gyro[rows, :n], part.accel[rows, :n]
+        return self.pipeline.process(part.stamp_ns[rows], part.sequence[rows], gyro, accel, part.gyro_valid[rows], part.accel_valid[rows])
 
     def _feed(self, part: _Window, fused: FusedBlock) -> None:
         """Aids before the samples, as the block is one; what had come too late live comes after them, and is late again."""
@@ -199,15 +202,14 @@ class _Run:
             writer.federated(*copy_with_state(report, change, text))
         writer.federated(report)
         for status in self.pipeline.drain_statuses():
-            writer.inertial(blocks.inertial_fdi(status), int(status.stamp_ns))
+            writer.inertial(status)
 
     def _record(self, seconds: float) -> RunRecord:
         lane, reader, configuration = self.lane, self.reader, self.configuration
         settled = lane.track
         if not len(settled):
-            raise RecordError(
-                f"{reader.path}: the navigator never started; is the initial state within {configuration.navigator.max_delay_s:g} s of an IMU sample?"
-            )
+            delay = configuration.navigator.max_delay_s
+            raise RecordError(f"{reader.path}: the navigator never started; is the initial state within {delay:g} s of an IMU sample?")
         start_ns = run_start(reader, configuration, settled)
         scenario, recording = configuration.scenario, configuration.recording
         counters, report = self.pipeline.counters, lane.navigator.status()
@@ -215,8 +217,10 @@ class _Run:
             scenario.name if scenario else reader.path.name, settled, reference_at(read_reference(reader), settled.stamp_ns),
             description=scenario.description if scenario else "", covariance=lane.covariance, protection_radius=lane.protection_radius, mode=lane.mode,
             judged=lane.judged_arrays, health=sorted(self.fusion.health + lane.health, key=lambda c: c.stamp_ns),
-            faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1)), origin_ns=start_ns,
-            scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=self.fusion.use, samples=samples(counters, report),
+            faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1)),
+            origin_ns=start_ns,
+            scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=self.fusion.use,
+            samples=samples(counters, report),
             n_sensors=self.pipeline.n, realtime_factor=reader.duration_s / seconds if seconds > 0.0 else None,
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
@@ -240,4 +244,4 @@ def _cut(window: _Window, max_delay_ns: int) -> Iterator[_Window]:
         until = int(window.log_ns[b]) if number < len(edges) - 2 else 2**62
         others = [(log, item) for log, item in window.others if first_log <= log < until]
         first_log = until
-        yield _Window(*(column[a:b] for column in window[:-1]), others)
+        yield window._replace(others=others, **{name: getattr(window, name)[a:b] for name in window._fields if name != "others"})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from . import score as scoring
@@ -63,7 +63,7 @@ def write_report(record: RunRecord, out_dir: str | Path, result: scoring.Score |
     for figure in drawn:
         draw_png(figure, out / f"{figure.key}.png", record.name)
     failures = scoring.verdict(result, record.expect)
-    tables = []
+    tables: list[tuple[str, Sequence[str], Sequence[Sequence[str]]]] = []
     if result["faults"]:
         columns = ("target", "fault", "onset", "detected", "delay", "isolated right", "epochs fused")
         tables.append(("Faults", columns, scoring.fault_rows(result)))

@@ -162,7 +162,7 @@ def _numbers(record: RunRecord) -> Score:
         "oracle_ratio": _ratio(record, window, position, velocity, heading),
         "twin_deviation_max_m": _twin(record),
         "faults": [_fault(record, fault) for fault in sorted(record.faults, key=lambda f: f.start_ns)],
-        "missed_isolations": sum(not metrics.fault_outcome(f, record.faults, record.health, record.judged.get(f.target)).isolated for f in record.faults),
+        "missed_isolations": sum(not _outcome(record, f).isolated for f in record.faults),
         "false_isolations": len(wrong),
         "false_isolations_list": [_change(record, c) for c in wrong],
         "subfilters": {name: _subfilter(record, name) for name in sorted(record.judged)},
@@ -170,14 +170,17 @@ def _numbers(record: RunRecord) -> Score:
 
 
 def _fault(record: RunRecord, fault: FaultInterval) -> Score:
-    judged = record.judged.get(fault.target)
-    outcome = metrics.fault_outcome(fault, record.faults, record.health, judged)
+    outcome = _outcome(record, fault)
     return {
         "target": fault.target, "type": fault.type, "size": fault.size_text,
         "onset_s": _seconds(fault.start_ns - record.start_ns), "end_s": _seconds(fault.end_ns - record.start_ns),
         "detected": outcome.detected, "delay_s": _number(outcome.delay_s), "isolated_right": outcome.isolated_right,
         "wrongly_isolated": list(outcome.wrong), "epochs_fused": _epochs_fused(record, fault),
     }  # fmt: skip
+
+
+def _outcome(record: RunRecord, fault: FaultInterval) -> metrics.FaultOutcome:
+    return metrics.fault_outcome(fault, record.faults, record.health, record.judged.get(fault.target))
 
 
 def _epochs_fused(record: RunRecord, fault: FaultInterval) -> int | None:

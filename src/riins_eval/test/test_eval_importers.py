@@ -184,7 +184,9 @@ def test_recorded_gnss_is_used_as_it_is(tmp_path):
     arrays |= {"gnss_t": truth[:, 0], "gnss_llh": truth[:, 1:4], "gnss_vned": truth[:, 4:7], "gnss_std": np.array([1.0, 1.0, 2.0, 0.1, 0.1, 0.1])}
     arrays["gnss_llh"] = arrays["gnss_llh"].copy()
     arrays["gnss_llh"][10] = np.nan
-    lines = import_npz(save(tmp_path / "gnss.npz", arrays), tmp_path / "bag", options={"outages": [{"target": "gps", "start_s": 20.0, "end_s": 22.0}]})
+    lines = import_npz(
+        save(tmp_path / "gnss.npz", arrays), tmp_path / "bag", options={"outages": [{"target": "gps", "start_s": 20.0, "end_s": 22.0}]}
+    )
     assert not any("GPS: SIMULATED" in line for line in lines) and any("BDS: SIMULATED" in line for line in lines)
     with BagReader(tmp_path / "bag") as reader:
         fix = reader.columns("/gps/fix", ("latitude", "status.status", "position_covariance"))
@@ -256,7 +258,8 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path):
     whole = save(tmp_path / "whole.npz", make_recording((1,))).read_bytes()
     (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
     for name, words in (
-        ("missing.npz", "no such file"), ("text.npz", "pickle|no readable"), ("pickled.npz", "pickle|no readable"), ("objects.npz", "pickled objects"),
+        ("missing.npz", "no such file"), ("text.npz", "pickle|no readable"), ("pickled.npz", "pickle|no readable"),
+        ("objects.npz", "pickled objects"),
         ("single.npy", "single array"), ("cut.npz", "no readable"),
     ):  # fmt: skip
         with pytest.raises(ImportFailure, match=words):

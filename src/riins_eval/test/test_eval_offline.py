@@ -112,7 +112,9 @@ def test_the_bag_gives_the_same_score(run, bag):
     again = score_bag(bag)
     assert near({**again, "realtime_factor": None}, {**run.score, "realtime_factor": None}) == []
     record = bag_record.read_record(bag)
-    assert [(c.stamp_ns, c.target, c.state, c.reason) for c in record.health] == [(c.stamp_ns, c.target, c.state, c.reason) for c in run.record.health]
+    assert [(c.stamp_ns, c.target, c.state, c.reason) for c in record.health] == [
+        (c.stamp_ns, c.target, c.state, c.reason) for c in run.record.health
+    ]
     assert metrics.horizontal_distance(record.settled, run.record.settled).max() < 1e-6
     assert record.expect == run.expect and record.origin_ns == offline.START_NS
 
@@ -141,7 +143,9 @@ def test_the_bag_has_the_topics_of_the_live_graph(bag):
         assert counts["/riins/configuration"] == counts["/nav/initial_state"] == counts["/truth/faults"] == 1
         first = next(iter(reader.messages()))
         assert first.topic == "/riins/configuration"
-        for topic, log_ns, msg in reader.read(("/nav/settled", "/gps/fix", "/doppler/velocity", "/imu/fused"), stop_ns=reader.start_ns + 2_000_000_000):
+        for topic, log_ns, msg in reader.read(
+            ("/nav/settled", "/gps/fix", "/doppler/velocity", "/imu/fused"), stop_ns=reader.start_ns + 2_000_000_000
+        ):
             assert msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec == log_ns, topic
 
 
@@ -256,7 +260,9 @@ def test_the_reference_is_interpolated_between_neighbours_only():
     t = np.array([0, 100, 200, 5200]) * 10_000_000
     x = 5.0 * t * 1e-9  # 5 m/s to the north along a circle of 6.36e6 m
     z = np.zeros(4)
-    reference = Track(t, 0.7 + x / 6.3617e6, z + 2.0, z, np.column_stack([z + 5.0, z, z]), np.column_stack([z, z, z + np.array([6.27, 0.01, 0.02, 0.0])]))
+    reference = Track(
+        t, 0.7 + x / 6.3617e6, z + 2.0, z, np.column_stack([z + 5.0, z, z]), np.column_stack([z, z, z + np.array([6.27, 0.01, 0.02, 0.0])])
+    )
     at = np.array([0, 50, 150, 200, 3000, 5200, 6000]) * 10_000_000
     made = bag_record.reference_at(reference, at)
     assert np.isfinite(made.lat).tolist() == [True, True, True, True, False, True, False]
