@@ -357,19 +357,21 @@ def test_live_counters_equal_offline(run, offline_bag):
     assert live == {s.name: (s.accepted, s.rejected, s.late, s.malformed) for s in with_offline.subfilters}
 
 
-@pytest.mark.parametrize("rate", [1.0, 3.0])
-def test_replay_equals_offline(run, offline_bag, rate, tmp_path):
+@pytest.mark.parametrize(("rate", "namespace"), [(1.0, "ship1"), (3.0, "")])
+def test_replay_equals_offline(run, offline_bag, rate, namespace, tmp_path):
+    """At the recorded pace, in a namespace, and at three times the pace."""
+    prefix = f"/{namespace}" if namespace else ""
     with own_domain(tmp_path):
-        graph = build_graph(GraphSettings(bag=str(run.bag), rate=rate))
-        topics = {"/nav/settled": NavState, "/fdi/status": InertialFdi, "/nav/subfilters": FederatedStatus}
+        graph = build_graph(GraphSettings(bag=str(run.bag), rate=rate, namespace=namespace))
+        topics = {f"{prefix}/nav/settled": NavState, f"{prefix}/fdi/status": InertialFdi, f"{prefix}/nav/subfilters": FederatedStatus}
         with Listener(topics) as listener, LiveRun(graph, tmp_path / "logs") as live:
             live.start()
             wait_until(lambda: live.finished() or live.dead(), 60.0, "the end of the bag")
             assert live.dead() is None, live.dead()
             assert live.processes.stop() == {"imu_fusion": 0, "navigator": 0, "player": 0}
-    last = listener.last("/nav/subfilters")
+    last = listener.last(f"{prefix}/nav/subfilters")
     assert (last.imu_lost, last.restarts, sum(s.late for s in last.subfilters)) == (0, 0, 0), "not comparable"
-    settled = {ns(m.header.stamp): m for m in listener.messages["/nav/settled"]}
+    settled = {ns(m.header.stamp): m for m in listener.messages[f"{prefix}/nav/settled"]}
     assert_law_2(settled, by_stamp(offline_bag, "/nav/settled"))
     until = max(settled)
-    assert decisions(listener.messages["/fdi/status"], until) == decisions(run.messages["/fdi/status"], until)
+    assert decisions(listener.messages[f"{prefix}/fdi/status"], until) == decisions(run.messages["/fdi/status"], until)

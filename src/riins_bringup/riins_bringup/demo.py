@@ -77,12 +77,12 @@ def comparison(results: dict[str, dict[str, Any]], live: dict[str, Any]) -> Tabl
     """The figures of several runs side by side, the latency of the live one below."""
     sheet = Table("", *results)
     for label, key, digits in (
-        ("position error RMS [m]", "position_rms_m", 2),
-        ("position error max [m]", "position_max_m", 2),
-        ("velocity error RMS [m/s]", "velocity_rms_mps", 3),
-        ("heading error RMS [arcmin]", "heading_rms_arcmin", 2),
+        ("position error RMS, m", "position_rms_m", 2),
+        ("position error max, m", "position_max_m", 2),
+        ("velocity error RMS, m/s", "velocity_rms_mps", 3),
+        ("heading error RMS, arcmin", "heading_rms_arcmin", 2),
         ("NEES per degree of freedom", "nees_per_dof", 2),
-        ("distance from the fault-free twin, max [m]", "twin_deviation_max_m", 2),
+        ("distance from the fault-free twin, max, m", "twin_deviation_max_m", 2),
         ("false isolations", "false_isolations", 0),
         ("times real time", "realtime_factor", 0),
     ):
@@ -90,5 +90,5 @@ def comparison(results: dict[str, dict[str, Any]], live: dict[str, Any]) -> Tabl
         sheet.add_row(label, *cells)
     sheet.add_row("IMU samples received, lost", *(f"{r['samples']['received']}, {r['samples']['lost']}" for r in results.values()))
     if live["latency_ms"]:
-        sheet.add_row("latency IMU stamp to NavState p50, p99 [ms]", f"{live['latency_ms']['p50']:.1f}, {live['latency_ms']['p99']:.1f}")
+        sheet.add_row("latency IMU stamp to NavState p50, p99, ms", f"{live['latency_ms']['p50']:.1f}, {live['latency_ms']['p99']:.1f}")
     return sheet

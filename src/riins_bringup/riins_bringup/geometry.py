@@ -33,7 +33,7 @@ def describe_thesis() -> Described:
     for n in range(3, 13):
         cells = [f"{rows[n].theta:.4f}  {rows[n].figure:.4f}{'*' if best[s] == n else ''}" if n in rows else "-" for s, rows in by_survivors.items()]
         one.add_row(str(n), *cells)
-    two = Table("configuration", "angle [deg]", "J_p", "GDOP", "|H'H - n/3 I|", title="Table 2.2: accuracy")
+    two = Table("configuration", "angle, deg", "J_p", "GDOP", "|H'H - n/3 I|", title="Table 2.2: accuracy")
     for row in imu_array.table_2_2():
         two.add_row(
             row.name,

@@ -6,11 +6,10 @@ Does not live here: which nodes there are (graph.py), when time starts and what 
 
 from __future__ import annotations
 
-import ctypes
 import os
+import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -20,8 +19,6 @@ from riins_bringup.graph import NodeSpec, write_files
 
 # SIGABRT makes Python's fault handler print where a node hangs, into its log
 _STOP_SIGNALS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 4.0), (signal.SIGABRT, 2.0), (signal.SIGKILL, 5.0))
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
 
 
 class GraphError(Exception):
@@ -124,17 +121,11 @@ class Processes:
         """
         commands = [(spec, find_executable(spec.package, spec.executable, self.environment)) for spec in specs]
         for spec, executable in commands:
-            command = [str(executable), *spec.arguments(write_files(spec, self.directory))]
+            command = [*_tied_to_parent(self.environment), str(executable), *spec.arguments(write_files(spec, self.directory))]
             with open(self.log(spec.name), "ab") as log:
                 # an own session: Ctrl-C in the terminal reaches the launcher alone, which stops the nodes in order
                 self._running[spec.name] = subprocess.Popen(
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    env=self.environment,
-                    start_new_session=True,
-                    preexec_fn=_die_with_parent,
+                    command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment, start_new_session=True
                 )
             self._specs[spec.name] = spec
 
@@ -198,7 +189,8 @@ class Processes:
                 return
 
 
-def _die_with_parent() -> None:
-    """Ask the kernel to end this child when the launcher is killed, so that no node is left behind."""
-    if _LIBC is not None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+def _tied_to_parent(environment: Mapping[str, str]) -> list[str]:
+    """Words before a command that make the kernel end it when the launcher is killed; none where util-linux is not installed."""
+    setpriv = shutil.which("setpriv", path=environment.get("PATH"))
+    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

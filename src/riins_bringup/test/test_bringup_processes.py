@@ -7,6 +7,7 @@ Does not live here: tests with real nodes (test/ at top level).
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -92,7 +93,7 @@ def test_stubborn_node_is_killed_and_reported(toys, tmp_path, monkeypatch):
         assert str(processes.exited()[0]) == 'node "x" was killed by SIGKILL'
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel's parent-death signal is Linux only")
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv of util-linux is not installed")
 def test_killed_launcher_leaves_no_node_behind(toys, tmp_path):
     code = (
         "from riins_bringup.processes import Processes; from riins_bringup.graph import NodeSpec; import time\n"
