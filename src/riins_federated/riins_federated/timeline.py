@@ -92,23 +92,32 @@ class EventQueue:
 
 
 class Journal:
-    """Results in the order of measurement time; the tail can be taken back, the head is handed out once it is settled."""
+    """Results in the order of measurement time; the tail can be taken back, the head is handed out once it is settled.
+
+    A filter that goes back beyond what was handed out (its checkpoints are further apart than results) finds the same results again, since they
+    are settled: those are not noted a second time.
+    """
 
     def __init__(self) -> None:
         self._entries: list[tuple[int, Any]] = []
         self._given = 0
+        self._again = 0
 
     def __len__(self) -> int:
         """Length since the beginning of the run, what was handed out included."""
-        return self._given + len(self._entries)
+        return self._given - self._again + len(self._entries)
 
     def add(self, stamp_ns: int, entry: Any) -> None:
         """Note a result."""
-        self._entries.append((stamp_ns, entry))
+        if self._again:
+            self._again -= 1
+        else:
+            self._entries.append((stamp_ns, entry))
 
     def truncate(self, length: int) -> None:
         """Take back what was noted after the journal had this length."""
-        del self._entries[length - self._given :]
+        self._again = max(0, self._given - length)
+        del self._entries[max(0, length - self._given) :]
 
     def take(self, until_ns: int) -> list[Any]:
         """Hand out what is not later than a stamp."""

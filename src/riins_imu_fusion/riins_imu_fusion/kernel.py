@@ -48,7 +48,6 @@ from riins_imu_fusion.state import (
     F,
     I,
     Output,
-    Past,
     Rules,
     State,
     Tables,
@@ -207,32 +206,30 @@ def remember(kind: int, k: int, raw: F, value: F, repeat: I) -> None:
 
 
 @jit
-def note_past(t: int, rules: Rules, used: U, z: F, past: Past) -> None:
+def note_past(
+    t: int, grid: int, period: float, set0: np.uint64, set1: np.uint64, z: F, place: I, end: I, last: I, span: F, used: U, total: F
+) -> None:
     """Add a fused sample to the records of the past."""
-    place = past.place
-    cell = t // rules.record
-    dt = rules.period if place[FILLED] == 0 else (t - place[NEWEST]) * 1e-9  # as a consumer that integrates has it
-    place[NEWEST] = t
     r = place[OPEN]
-    if place[FILLED] == 0 or past.cell[r] != cell or past.used[r, 0] != used[0] or past.used[r, 1] != used[1]:
-        size = past.cell.shape[0]
+    dt = period if place[FILLED] == 0 else (t - place[NEWEST]) * 1e-9  # as a consumer that integrates has it
+    place[NEWEST] = t
+    if place[FILLED] == 0 or t >= end[r] or set0 != used[r, 0] or set1 != used[r, 1]:
         if place[FILLED] > 0:
-            r = (r + 1) % size
+            r = (r + 1) % end.shape[0]
             place[OPEN] = r
-        place[FILLED] = min(place[FILLED] + 1, size)
-        past.cell[r] = cell
-        past.span[r] = 0.0
-        past.square[r] = 0.0
-        for kind in range(2):
-            past.used[r, kind] = used[kind]
-            for i in range(z.shape[1]):
-                past.sum[r, kind, i] = 0.0
-    past.last[r] = t
-    past.span[r] += dt
-    past.square[r] += dt * dt
+        place[FILLED] = min(place[FILLED] + 1, end.shape[0])
+        end[r] = t - t % grid + grid
+        used[r, 0] = set0
+        used[r, 1] = set1
+        span[r, 0] = 0.0
+        span[r, 1] = 0.0
+        total[r] = 0.0
+    last[r] = t
+    span[r, 0] += dt
+    span[r, 1] += dt * dt
     for kind in range(2):
         for i in range(z.shape[1]):
-            past.sum[r, kind, i] += dt * z[kind, i]
+            total[r, kind, i] += dt * z[kind, i]
 
 
 @jit
@@ -262,6 +259,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
     verdict, wakes = st.verdict, st.wakes
     dofs, w = tb.dof, tb.W
     period, n = rules.status_period, st.z.shape[1]
+    grid, nominal = rules.record, rules.period
+    place_past, end, last, span, used_past, total = st.past.place, st.past.end, st.past.last, st.past.span, st.past.used, st.past.sum
     while k < block.stamp.shape[0]:
         t = block.stamp[k]
         if clock[HAVE] == 1:
@@ -346,8 +345,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                         code |= EVENT
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
-            if rules.record > 0:
-                note_past(t, rules, used, z, st.past)
+            if grid > 0:
+                note_past(t, grid, nominal, used[0], used[1], z, place_past, end, last, span, used_past, total)
             output.stamp[o] = t
             output.sequence[o] = block.sequence[k]
             o += 1

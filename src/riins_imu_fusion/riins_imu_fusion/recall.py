@@ -114,18 +114,19 @@ class Recaller:
             used = self._array.used(mask)
             row = test.gain[index] * (test.whitened[:, index] @ test.whitened[:, used])
             fault.sum[same] = past.sum[rows[same], kind][:, used] @ row
-            fault.variance[same] = past.square[rows[same]] * float(np.sum((row * self._sigma[kind, used]) ** 2))
-            fault.span[same] = past.span[rows[same]]
+            fault.variance[same] = past.span[rows[same], 1] * float(np.sum((row * self._sigma[kind, used]) ** 2))
+            fault.span[same] = past.span[rows[same], 0]
             fault.column[same] = self._array.least_squares(mask, self._total[kind])[:, index]
             fault.known[same] = True
         return fault
 
     def _onset(self, fault: _Fault, end: Array) -> int:
-        """Row at which the fault began, 0: not found.
+        """First row of the fault, 0: not found.
 
         Of the hypotheses "a step at the beginning of row j" and "a ramp from there on", over a constant that is unknown, the one whose fit takes
         most off the weighted sum of squares: the generalized likelihood ratio 2 ln L1/L0, chi-square with one degree of freedom for a given j
-        and shape without a fault. The largest must exceed the threshold of `recall_false_alarm_probability` shared among all of them.
+        and shape without a fault. The largest must exceed the threshold of `recall_false_alarm_probability` shared among all of them. The fault
+        counts from one row earlier: it may begin within that, which if healthy adds a little noise and nothing else.
         """
         at = np.flatnonzero(fault.known)
         if len(at) < 2:
@@ -146,7 +147,7 @@ class Recaller:
         best = int(np.argmax(ratios))
         if ratios.flat[best] <= nis_threshold(self._probability / ratios.size, 1):
             return 0
-        return int(at[1 + best % len(tau)])
+        return int(at[max(1, best % len(tau))])
 
     def _fused(self, past: K.Past, rows: NDArray[np.int64], kind: int) -> Array:
         """Integral (r, 3) of the fused output over each record."""

@@ -90,10 +90,9 @@ class Past(NamedTuple):
     """Ring of records of what was fused lately. A record ends at a grid of stamps, and where the set of sensors used changes."""
 
     place: I  # (3,), the open record, records filled, stamp of the newest sample
-    cell: I  # (r,), of the grid
+    end: I  # (r,), stamp of the grid at which it ends
     last: I  # (r,), stamp of its last sample
-    span: F  # (r,), sum of dt, s
-    square: F  # (r,), sum of dt^2
+    span: F  # (r, 2), sums of dt [s] and dt^2
     used: U  # (r, 2)
     sum: F  # (r, 2, n), sum of dt z
 
@@ -171,10 +170,9 @@ def fresh_state(n: int, records: int) -> State:
         need_key=np.zeros(1, np.uint64),
         past=Past(
             place=whole(3),
-            cell=whole(records),
+            end=whole(records),
             last=whole(records),
-            span=np.zeros(records),
-            square=np.zeros(records),
+            span=np.zeros((records, 2)),
             used=np.zeros((records, 2), np.uint64),
             sum=np.zeros((records, 2, n)),
         ),

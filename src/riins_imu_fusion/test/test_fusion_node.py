@@ -103,6 +103,26 @@ def bench() -> Iterator[Bench]:
     rclpy.try_shutdown()
 
 
+def test_what_a_failed_sensor_put_in_is_announced_once(bench: Bench) -> None:
+    """Beside the sample that is free of it, not in it: the rate stays smooth."""
+    def ramp(values: dict[str, Any]) -> None:
+        values["gyro"][2] += 6.0 * bench.sigma[0, 2] * max(0.0, values["sequence"] / 100.0 - 3.0)
+
+    for start in range(0, 700, 100):
+        bench.feed(start, start + 100, ramp)
+    announced = [m for m in bench.got["fused"] if convert.to_ns(m.recall_onset)]
+    recall = bench.got["fused"][0] if not announced else announced[0]
+    column = frd_to_flu(bench.array.least_squares()[:, 2])
+    angle = np.array([recall.angle_recall.x, recall.angle_recall.y, recall.angle_recall.z])
+    age = (convert.to_ns(recall.header.stamp) - START) * 1e-9 - 3.0
+    assert len(announced) == 1 and not recall.gyro_used & 0b100
+    assert abs(convert.to_ns(recall.recall_onset) - START - 3_000_000_000) < 500_000_000
+    np.testing.assert_allclose(angle, column * 3.0 * bench.sigma[0, 2] * age**2, rtol=0, atol=0.25 * 3.0 * bench.sigma[0, 2] * age**2)
+    bench.until(lambda: any("recalled" in m.text for m in bench.got["status"]))
+    rates = np.array([m.angular_velocity.x for m in bench.got["raw"]])
+    assert np.abs(np.diff(rates)).max() < 10.0 * bench.sigma[0, 0]
+
+
 def test_what_another_stack_sees(bench: Bench) -> None:
     bench.feed(0, 101)
     raw, fused, status = bench.got["raw"], bench.got["fused"], bench.got["status"]
