@@ -106,7 +106,7 @@ def nees(error: Floats, covariance: Floats) -> Floats:
     Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, eq. (5.4.2-1).
     """
     result = np.full(len(error), np.nan)
-    known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)))
     # units differ by ten orders of magnitude between position and attitude: scale to correlations before the solve
     sigma = np.sqrt(np.where(known[:, None], np.einsum("kii->ki", covariance), 1.0).clip(min=0.0))
     index = np.flatnonzero(known & (np.min(sigma, axis=1) > 0.0))

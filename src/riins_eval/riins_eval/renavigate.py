@@ -215,7 +215,8 @@ class _Run:
         counters, report = self.pipeline.counters, lane.navigator.status()
         return RunRecord(
             scenario.name if scenario else reader.path.name, settled, reference_at(read_reference(reader), settled.stamp_ns),
-            description=scenario.description if scenario else "", covariance=lane.covariance, protection_radius=lane.protection_radius, mode=lane.mode,
+            description=scenario.description if scenario else "", covariance=lane.covariance,
+            protection_radius=lane.protection_radius, mode=lane.mode,
             judged=lane.judged_arrays, health=sorted(self.fusion.health + lane.health, key=lambda c: c.stamp_ns),
             faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1)),
             origin_ns=start_ns,
