@@ -77,10 +77,12 @@ class IntegratedFilter:
 
     @property
     def running(self) -> bool:
+        """It has an initial state."""
         return self._motion is not None
 
     @property
     def started_ns(self) -> int:
+        """Stamp of the initial state; 0 without one."""
         return self._motion.started_ns if self._motion else 0
 
     @property

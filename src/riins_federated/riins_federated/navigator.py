@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from riins_fdi.health import Change
 
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
-from .timeline import EventQueue, ImuBuffer, Journal
+from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, Journal, next_due, to_ns
 from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
 
 MAX_WAITING = 100_000
@@ -27,29 +27,6 @@ LOST_BEYOND = 2**31
 """A step of the sequence number beyond this is a number that went back, not a loss."""
 RANK_INITIAL, RANK_COMMAND, RANK_RECALL = -2000, -1000, -1
 """At one stamp: the initial state, then commands, then what is recalled, then the aids in the order of the subfilters."""
-
-
-@dataclass(frozen=True)
-class _Due:
-    """Stamps at which something recurs."""
-
-    covariance: int
-    height: int
-    settle: int
-    feedback: int
-
-    def first(self) -> int:
-        return min(self.covariance, self.height, self.settle, self.feedback)
-
-
-@dataclass(frozen=True)
-class _Checkpoint:
-    stamp_ns: int
-    sample: int
-    cursor: int
-    journal: int
-    due: _Due
-    filter: tuple[object, ...]
 
 
 class Navigator:
@@ -75,12 +52,12 @@ class Navigator:
         self.config = config
         self._filter = IntegratedFilter(config)
         self._rank = {local.name: i for i, local in enumerate(self._filter.subfilters)}
-        self._max_delay = _ns(config.max_delay_s)
-        self._period = _Due(
-            _ns(config.covariance_period_s),
-            _ns(config.height.period_s) if config.height.enabled else 0,
-            _ns(config.settle_period_s),
-            _ns(config.feedback_period_s),
+        self._max_delay = to_ns(config.max_delay_s)
+        self._period = Due(
+            to_ns(config.covariance_period_s),
+            to_ns(config.height.period_s) if config.height.enabled else 0,
+            to_ns(config.settle_period_s),
+            to_ns(config.feedback_period_s),
         )
         self._initials: list[InitialState] = []
         self._out: dict[type, list[Any]] = {NavSolution: [], Judged: [], NavEvent: []}
@@ -91,8 +68,8 @@ class Navigator:
 
     def _clear(self) -> None:
         self._imu, self._queue, self._journal = ImuBuffer(), EventQueue(), Journal()
-        self._checkpoints: list[_Checkpoint] = []
-        self._due = _Due(0, 0, 0, 0)
+        self._checkpoints: list[Checkpoint] = []
+        self._due = Due(0, 0, 0, 0)
         self._dropped_samples = self._dropped_items = 0  # so that indices stay true when the oldest go
         self._sample = self._cursor = 0  # the first not yet worked
 
@@ -293,7 +270,7 @@ class Navigator:
             self.rollbacks += 1
         self._advance()
 
-    def _return_to(self, point: _Checkpoint) -> None:
+    def _return_to(self, point: Checkpoint) -> None:
         self._filter.restore(point.filter)
         self._sample, self._cursor, self._due = point.sample, point.cursor, point.due
         self._journal.truncate(point.journal)
@@ -351,7 +328,7 @@ class Navigator:
     def _schedule(self, stamp_ns: int) -> None:
         never = 2**62
         period = self._period
-        self._due = _Due(
+        self._due = Due(
             stamp_ns + period.covariance,
             stamp_ns + period.height if period.height else never,
             stamp_ns + period.settle,
@@ -386,15 +363,15 @@ class Navigator:
         if stamp_ns >= due.height:
             flt.fuse_height()
             corrected = True
-            due = replace(due, height=_next(due.height, period.height, stamp_ns))
+            due = replace(due, height=next_due(due.height, period.height, stamp_ns))
         if (corrected and not period.feedback) or stamp_ns >= due.feedback:
             flt.feed_back()
-            due = replace(due, feedback=_next(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
+            due = replace(due, feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
         for local in flt.subfilters:
             self._note(local.name, local.watch(stamp_ns, flt.started_ns))
         if stamp_ns >= due.settle:
             self._journal.add(stamp_ns, flt.solution())
-            due = replace(due, settle=_next(due.settle, period.settle, stamp_ns))
+            due = replace(due, settle=next_due(due.settle, period.settle, stamp_ns))
         self._due = due
         margin = self._max_delay + 2 * period.covariance
         if self._last_ns is not None and stamp_ns > self._last_ns - margin and stamp_ns >= self._checkpoints[-1].stamp_ns + period.covariance // 4:
@@ -431,8 +408,8 @@ class Navigator:
             text = f"{name}: {change.previous.name.lower()} -> {change.state.name.lower()}{reason}"
             self._journal.add(change.stamp_ns, NavEvent(change.stamp_ns, text))
 
-    def _checkpoint(self, stamp_ns: int) -> _Checkpoint:
-        return _Checkpoint(stamp_ns, self._sample, self._cursor, len(self._journal), self._due, self._filter.snapshot())
+    def _checkpoint(self, stamp_ns: int) -> Checkpoint:
+        return Checkpoint(stamp_ns, self._sample, self._cursor, len(self._journal), self._due, self._filter.snapshot())
 
     def _trim(self) -> None:
         """Forget what no measurement can bring back."""
@@ -462,12 +439,3 @@ class Navigator:
             self._collect(self._last_ns - self._max_delay)
         out, self._out[kind] = self._out[kind], []
         return out
-
-
-def _ns(seconds: float) -> int:
-    return round(seconds * 1e9)
-
-
-def _next(due: int, period: int, stamp_ns: int) -> int:
-    """First stamp of the grid after `stamp_ns`."""
-    return due + period * ((stamp_ns - due) // period + 1)

@@ -1,18 +1,55 @@
 """Order by measurement time: the IMU buffer, the aids that wait, and the journal of what is not settled yet.
 
-Lives here: `ImuBuffer`, `EventQueue`, `Journal`, all of them integer nanoseconds and no navigation.
+Lives here: `ImuBuffer`, `EventQueue`, `Journal`, `Due`, `Checkpoint`, all of them integer nanoseconds and no navigation.
 Does not live here: the filter and its roll-back (navigator.py).
 """
 
 from __future__ import annotations
 
 import bisect
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .types import Array
+
+
+def to_ns(seconds: float) -> int:
+    """Integer nanoseconds."""
+    return round(seconds * 1e9)
+
+
+def next_due(due: int, period: int, stamp_ns: int) -> int:
+    """First stamp of the grid after `stamp_ns`."""
+    return due + period * ((stamp_ns - due) // period + 1)
+
+
+@dataclass(frozen=True)
+class Due:
+    """Stamps at which something recurs."""
+
+    covariance: int
+    height: int
+    settle: int
+    feedback: int
+
+    def first(self) -> int:
+        """The earliest."""
+        return min(self.covariance, self.height, self.settle, self.feedback)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A moment to go back to: samples and queue items worked, results noted, what was due, and the filter."""
+
+    stamp_ns: int
+    sample: int
+    cursor: int
+    journal: int
+    due: Due
+    filter: tuple[object, ...]
 
 
 class ImuBuffer:

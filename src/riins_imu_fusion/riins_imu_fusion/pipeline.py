@@ -217,6 +217,7 @@ class FusionPipeline:
 
     @property
     def counters(self) -> Counters:
+        """Samples received, and what became of them."""
         c = self._state.counts.tolist()
         return Counters(
             received=c[K.RECEIVED],
