@@ -71,12 +71,10 @@ def _stream(snapshot: Snapshot) -> Table:
     table.add_row("samples lost", _lost(snapshot.samples))
     for name, s in snapshot.subfilters.items():
         state, reason = snapshot.health.get(name, ("", ""))
-        text = Text(f"{state:<9}", style=_STYLE.get(state, ""))
-        text.append(
-            f" NIS {s['statistic']:6.1f} / {s['threshold']:.1f}  used {s['accepted']} rejected {s['rejected']} late {s['late']}", style="default"
-        )
-        if state not in ("healthy", "") and reason not in ("none", ""):
-            text.append(f"  {reason}")
+        why = f" ({reason})" if state not in ("healthy", "") and reason not in ("none", "") else ""
+        text = Text(f"{state + why:<21}", style=_STYLE.get(state, ""))
+        counts = f" used {s['accepted']} rejected {s['rejected']} late {s['late']}"
+        text.append(f" NIS {s['statistic']:6.1f} / {s['threshold']:.1f} {counts}", style="default")
         table.add_row(name, text)
     return table
 
