@@ -243,11 +243,13 @@ class NavigationScheme:
 
         e += w;  p = T (z - d);  x += K_x p, d += K_d p;  u = W (z - d);  x+ = Phi x + N W (e + v),  N = (-C for gyros, +C for accelerometers)
 
-    and the schemes differ in the gain only: WLS.NA, figure 6.1, is the joint filter (6-33)-(6-35); PO.NA, figure 6.3, has K_x = 0 and takes K_d from the
-    IMU's own filter, whose covariance never hears of external information: e follows (6-38), carried exactly. IPO.NA, figure 6.4, is PO.NA with Q and R of ALS.
-    Errors of the thesis: (6-37)-(6-41) mix two signs and (6-40) lacks A: with e = X - Xhat, e+ = (I - K T C)(A e + w) - K T v, and the parity innovation is
-    + T C e. F as in `riins_core.ins_error`. The advantage of PO.NA over WLS.NA is there only when WLS.NA drops its parity rows, which is a scheme of its own here. The
-    printed Q is a random walk of 55 deg/h in 150 s: with it no scheme remembers what a fix has taught it for long.
+    and the schemes differ in the gain only. WLS.NA, figure 6.1, is the joint filter (6-33)-(6-35). PO.NA, figure 6.3, has K_x = 0 and takes K_d from
+    the IMU's own filter, whose covariance never hears of external information; e then follows (6-38), carried exactly. IPO.NA, figure 6.4, is PO.NA
+    with Q and R of ALS.
+
+    Errors of the thesis: (6-37)-(6-41) mix two signs and (6-40) lacks A: with e = X - Xhat, e+ = (I - K T C)(A e + w) - K T v, and the parity
+    innovation is + T C e. F as in `riins_core.ins_error`. PO.NA has an advantage over WLS.NA only when WLS.NA drops its parity rows, which is
+    a scheme of its own here. The printed Q is a random walk of 55 deg/h in 150 s: with it no scheme remembers for long what a fix has taught it.
     """
 
     def __init__(

@@ -127,8 +127,8 @@ class AdaptiveFusion(FusionMethod):
     - the coefficient gamma, never explained, is 1;
     - a model's equal Q is only where it begins: the first sample replaces it (d_0 = 1).
 
-    Nobody tells it which sensor is bad: it marks those whose drift estimate moved. It is no isolation: the body error of one drift falls by a few per cent,
-    and what the thesis shows is as much the geometry of its flight.
+    Nobody tells it which sensor is bad: it marks those whose drift estimate moved. It is no isolation: the body error of one drift falls by a few
+    per cent, and what the thesis shows is as much the geometry of its flight.
     """
 
     name = "aopt"
@@ -144,7 +144,8 @@ class AdaptiveFusion(FusionMethod):
     def _run(self, table: Table, z: Array, out: Fused) -> None:
         s = self.settings
         args = (table.V, table.R, table.W, z, out.x, out.covariance, out.drift)
-        adaptive_block(*self._state, s.forgetting, s.softening, s.memory, self.model.R, *args)
+        d, P, Q, V0, count = self._state
+        adaptive_block(d, P, Q, V0, count, s.forgetting, s.softening, s.memory, self.model.R, *args)
 
     @property
     def process_noise(self) -> Array:

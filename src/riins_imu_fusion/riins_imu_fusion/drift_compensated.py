@@ -93,9 +93,9 @@ class DriftCompensatedFusion(FusionMethod):
     Notes
     -----
     (5-95)-(5-98) count the drift twice unless the prediction contains the control: here d loses what D gains. L alpha dt is at most 1, beyond it
-    overshoots. With a linear filter and a known control the total D + d is then the OPT estimate itself: OPTDC fuses to the same numbers for any gain,
-    and the thesis' "OPTDC is more accurate than OPT" (52 m against 62 m) cannot come from the compensation. What it adds is compensated readings
-    z - D for whoever wants them. Like OPT it is an oracle.
+    overshoots. With a linear filter and a known control the total D + d is then the OPT estimate itself: OPTDC fuses to the same numbers for any
+    gain. The thesis' "OPTDC is more accurate than OPT" (52 m against 62 m) cannot come from the compensation: what it adds is compensated
+    readings z - D for whoever wants them. Like OPT it is an oracle.
     """
 
     name = "optdc"
@@ -113,4 +113,5 @@ class DriftCompensatedFusion(FusionMethod):
     def _run(self, table: Table, z: Array, out: Fused) -> None:
         # a sensor that is not used reads zero here: its drift and compensation have weight zero in V and W
         step = self.settings.gain * self.model.dt
-        compensated_block(*self._state, step, self.model.Q, self.model.R, table.V, table.R, table.W, z, *out)
+        d, P, D, total = self._state
+        compensated_block(d, P, D, total, step, self.model.Q, self.model.R, table.V, table.R, table.W, z, *out)

@@ -116,7 +116,7 @@ def flight() -> Flight:
     """
     samples = round(duration() / DT)
     fine = DT / _FINE
-    t = fine * np.arange(samples * _FINE + 1)
+    t: Array = fine * np.arange(samples * _FINE + 1, dtype=np.float64)
     speed, speed_dot, pitch, pitch_dot, heading, heading_dot, roll, roll_dot = _profile(t)
     cp, sp, ch, sh = np.cos(pitch), np.sin(pitch), np.cos(heading), np.sin(heading)
     v = np.column_stack([speed * cp * ch, speed * cp * sh, -speed * sp])
@@ -185,7 +185,7 @@ ARRAY = ImuArray(CONFIGURATIONS["dodecahedron"])
 """Six and six sensors on the normals of a dodecahedron, in the order of (2-33)."""
 KINDS = ("gyro", "accel")
 R_PRINTED = (8.4e-12, 2.4e-7)
-"""(5-108): (rad/s)^2, (m/s^2)^2 of a sample of 50 ms. The tables' "0.01 deg/h" is an angle random walk of 0.0022 deg/sqrt h, the 50 ug are as they are."""
+"""(5-108): (rad/s)^2, (m/s^2)^2 of a sample of 50 ms. The tables' "0.01 deg/h" is an angle random walk of 0.0022 deg/sqrt h."""
 
 
 @dataclass(frozen=True)
