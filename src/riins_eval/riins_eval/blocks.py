@@ -1,19 +1,20 @@
 """Messages of a run as columns: many of one kind at once, for `BagWriter.write_block`.
 
-Lives here: NavState of arrays, and stacking of the dicts of riins_node.fields; a test holds both to the same values.
+Lives here: NavState, Odometry and NavSatFix of many solutions at once; a test holds them to the values of riins_node.fields.
 Does not live here: what a message means (riins_node.fields), which ones are written (recording.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.rotation import euler_from_dcm
-from riins_node.fields import MAP_NED, header
+from riins_core import frames
+from riins_core.rotation import euler_from_dcm, skew
+from riins_node.fields import BASE, MAP, MAP_NED, STATUS_FIX, STATUS_NO_FIX, header, position_fix, quaternion, vector
 from riins_sim.trajectory import Truth
 
 from .run_record import Stamps, Track
@@ -21,21 +22,6 @@ from .run_record import Stamps, Track
 Floats = NDArray[np.float64]
 Fields = dict[str, Any]
 NAVIGATING = 2
-
-
-def stack(messages: Sequence[Mapping[str, Any]]) -> Fields:
-    """Columns of m messages of the same kind; texts are those of the first."""
-    first = messages[0]
-    columns: Fields = {}
-    for name, value in first.items():
-        values = [message[name] for message in messages]
-        if isinstance(value, Mapping):
-            columns[name] = stack(values)
-        elif isinstance(value, str):
-            columns[name] = value
-        else:
-            columns[name] = np.array(values)
-    return columns
 
 
 def nav_states(
@@ -116,6 +102,49 @@ def solution_states(solutions: Sequence[Any], sequence: int) -> Fields:
         protection_radius=np.array([s.protection_radius for s in solutions]), reset_count=np.array([s.reset_count for s in solutions], np.uint32),
         reset=np.array([s.reset for s in solutions], np.float64),
     )  # fmt: skip
+
+
+def odometries(solutions: Sequence[Any], local_frame: frames.LocalFrame) -> Fields:
+    """nav_msgs/Odometry of riins_federated NavSolutions, `fields.odometry` for all at once."""
+    t = track_of(solutions)
+    P = np.array([s.P[:12, :12] for s in solutions])
+    c_nb = np.array([s.C_nb for s in solutions])
+    c_bn = np.swapaxes(c_nb, 1, 2)
+    sign = np.repeat([1.0, -1.0], 3)  # phi turns the other way round than the pose does
+    pose_states = np.r_[0:3, 6:9]
+    pose = P[:, pose_states[:, None], pose_states] * np.outer(sign, sign)
+    for rows in (slice(0, 3), slice(3, 6)):
+        for columns in (slice(0, 3), slice(3, 6)):
+            pose[:, rows, columns] = local_frame.covariance(t.lat, t.lon, pose[:, rows, columns])
+    to_body = np.concatenate([c_bn, -c_bn @ skew(t.v_n)], axis=2)
+    twist = np.zeros((len(t), 6, 6))
+    twist[:, :3, :3] = frames.frd_to_flu_covariance(to_body @ P[:, 3:9, 3:9] @ np.swapaxes(to_body, 1, 2))
+    twist[:, 3:, 3:] = frames.frd_to_flu_covariance(P[:, 9:12, 9:12])
+    speed = np.einsum("kij,kj->ki", c_bn, t.v_n)
+    return {
+        "header": header(t.stamp_ns, MAP),
+        "child_frame_id": BASE,
+        "pose": {
+            "pose": {
+                "position": vector(local_frame.to_enu(t.lat, t.lon, t.h)),
+                "orientation": quaternion(local_frame.attitude(t.lat, t.lon, c_nb)),
+            },
+            "covariance": pose.reshape(-1, 36),
+        },
+        "twist": {
+            "twist": {"linear": vector(frames.frd_to_flu(speed)), "angular": vector(frames.frd_to_flu(np.array([s.rate_b for s in solutions])))},
+            "covariance": twist.reshape(-1, 36),
+        },
+    }
+
+
+def nav_fixes(solutions: Sequence[Any]) -> Fields:
+    """sensor_msgs/NavSatFix of riins_federated NavSolutions, `fields.nav_fix` for all at once."""
+    t = track_of(solutions)
+    content = position_fix(t.stamp_ns, t.lat, t.lon, t.h, np.array([s.P[:3, :3] for s in solutions]), BASE)
+    invalid = np.array([int(s.validity[0]) == 2 for s in solutions])
+    content["status"]["status"] = np.where(invalid, STATUS_NO_FIX, STATUS_FIX).astype(np.int8)
+    return content
 
 
 def track_of(solutions: Sequence[Any]) -> Track:

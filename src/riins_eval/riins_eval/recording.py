@@ -135,8 +135,8 @@ class RunWriter:
             self._frame = LocalFrame(first.lat, first.lon, first.h)
             self._bag.write_message("/nav/origin", FIX, fields.origin(first.stamp_ns, first.lat, first.lon, first.h), first.stamp_ns)
         self._bag.write_block("/nav/settled", NAV_STATE, stamps, blocks.solution_states(solutions, self._settled))
-        self._bag.write_block("/nav/odometry", ODOMETRY, stamps, blocks.stack([fields.odometry(s, self._frame) for s in solutions]))
-        self._bag.write_block("/nav/fix", FIX, stamps, blocks.stack([fields.nav_fix(s) for s in solutions]))
+        self._bag.write_block("/nav/odometry", ODOMETRY, stamps, blocks.odometries(solutions, self._frame))
+        self._bag.write_block("/nav/fix", FIX, stamps, blocks.nav_fixes(solutions))
         for solution in solutions:
             self._bag.write("/nav/covariance", NAV_COVARIANCE, self._covariance_cdr(solution, labels), int(solution.stamp_ns))
         self._settled += len(solutions)

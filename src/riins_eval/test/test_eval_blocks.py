@@ -7,10 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from riins_bag.bag import deserialize, serialize
+from riins_bag.bag import deserialize, serialize, typestore
+from riins_bag.cdr import pack
+from riins_core.frames import LocalFrame
 from riins_core.rotation import dcm_from_euler
 from riins_eval import blocks
-from riins_eval.recording import NAV_COVARIANCE, NAV_STATE, RunWriter
+from riins_eval.recording import FIX, NAV_COVARIANCE, NAV_STATE, ODOMETRY, RunWriter
 from riins_node import fields
 
 
@@ -40,12 +42,28 @@ def test_nav_states_of_arrays_equal_those_of_riins_node():
     assert columns["header"]["frame_id"] == "map_ned"
 
 
-def test_stacked_messages_keep_every_value():
-    solutions = [make_solution(seed) for seed in range(3)]
-    columns = blocks.stack([fields.nav_fix(s) for s in solutions])
-    assert columns["latitude"].tolist() == [fields.nav_fix(s)["latitude"] for s in solutions]
-    assert columns["position_covariance"].shape == (3, 9)
-    assert columns["header"]["frame_id"] == "base_link"
+def test_odometry_and_fixes_of_arrays_equal_those_of_riins_node():
+    solutions = [make_solution(seed) for seed in range(4)]
+    solutions[1].validity = (2, 2, 2)
+    frame = LocalFrame(0.3, 1.0, 10.0)
+    for msgtype, columns, single in (
+        (ODOMETRY, blocks.odometries(solutions, frame), [fields.odometry(s, frame) for s in solutions]),
+        (FIX, blocks.nav_fixes(solutions), [fields.nav_fix(s) for s in solutions]),
+    ):
+        packed = [deserialize(msgtype, row.tobytes()) for row in pack(typestore(), msgtype, columns, 4)]
+        for made, plain in zip(packed, single, strict=True):
+            assert flat(made) == pytest.approx(flat(deserialize(msgtype, serialize(msgtype, plain))), rel=1e-12, abs=1e-9)
+
+
+def flat(msg) -> list[float]:
+    """All numbers of a message in order."""
+    if isinstance(msg, str):
+        return [float(len(msg))]
+    if isinstance(msg, np.ndarray):
+        return msg.astype(float).tolist()
+    if isinstance(msg, int | float | np.number):
+        return [float(msg)]
+    return [v for name in msg.__dataclass_fields__ if name != "__msgtype__" for v in flat(getattr(msg, name))]
 
 
 def test_the_fast_covariance_message_is_the_plain_one(tmp_path):
