@@ -93,12 +93,13 @@ class Navigator:
         running = self._filter.running
         if initial.stamp_ns in stamps and running and initial.stamp_ns <= self._filter.started_ns:
             return ""  # a latched message heard again
-        if running and (initial.stamp_ns <= self._filter.started_ns or self._is_late(initial.stamp_ns)):
-            return f"the initial state comes too late: its stamp is before the run, or {self.config.max_delay_s:g} s before the newest IMU sample"
         if initial.stamp_ns in stamps:
             self._initials[stamps.index(initial.stamp_ns)] = initial
         else:
             bisect.insort(self._initials, initial, key=lambda known: known.stamp_ns)
+        if running and (initial.stamp_ns <= self._filter.started_ns or self._is_late(initial.stamp_ns)):
+            # kept all the same: the IMU stamp may be about to jump back to it, as when a bag loops
+            return f"the initial state comes too late: its stamp is before the run, or {self.config.max_delay_s:g} s before the newest IMU sample"
         if running:
             self._queue.add(initial.stamp_ns, RANK_INITIAL, initial)
             self._take_in(initial.stamp_ns)

@@ -19,7 +19,7 @@ from nav_msgs.msg import Odometry
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import Imu, NavSatFix
 
-from riins_core.frames import LocalFrame
+from riins_core.frames import LocalFrame, flu_to_frd_covariance
 from riins_msgs import msg, srv
 from riins_node import convert, fields, qos
 from riins_node.parameters import declare
@@ -29,7 +29,7 @@ from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
 from .reporting import Grid, diagnosis, what_changed
-from .types import Aid, FederatedReport, InitialState, NavSolution, Reason, Recall, UseCommand
+from .types import Aid, Array, FederatedReport, InitialState, NavSolution, Reason, Recall, UseCommand
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
@@ -111,7 +111,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._navigator.add_imu(np.array([stamp]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None], recalls)
         solution = self._navigator.head()
         if solution is not None and solution.stamp_ns == sample["stamp_ns"]:
-            self._publish_head(solution)
+            self._publish_head(solution, _frd(message.angular_velocity_covariance), _frd(message.linear_acceleration_covariance))
         self._publish_settled()
         self._publish_status(sample["stamp_ns"])
 
@@ -148,14 +148,14 @@ class NavigatorNode(AutostartLifecycleNode):
 
     # ---- output ----
 
-    def _publish_head(self, solution: NavSolution) -> None:
+    def _publish_head(self, solution: NavSolution, rate_covariance: Array, force_covariance: Array) -> None:
         if self._frame is None:
             datum = self._datum or (solution.lat, solution.lon, solution.h)
             self._frame = LocalFrame(*datum)
             self._publish("nav/origin", fields.origin(solution.stamp_ns, *datum))
         if self._state_grid.due(solution.stamp_ns):
             self._publish("nav/state", fields.nav_state(solution, self._sequence))
-            self._publish("imu/data", fields.imu(solution))
+            self._publish("imu/data", fields.imu(solution, rate_covariance, force_covariance))
             self._sequence += 1
         if self._odometry_grid.due(solution.stamp_ns):
             self._publish("nav/odometry", fields.odometry(solution, self._frame))
@@ -186,6 +186,10 @@ class NavigatorNode(AutostartLifecycleNode):
             stamp = self.get_clock().now().nanoseconds
             self._publish("/diagnostics", fields.diagnostics(stamp, [("navigator", "error", "no IMU: nothing on imu/fused", {})]))
             self.get_logger().warning("no IMU: nothing on imu/fused", throttle_duration_sec=10.0)
+
+
+def _frd(covariance: Any) -> Array:
+    return flu_to_frd_covariance(np.reshape(covariance, (3, 3)))
 
 
 def main(args: Sequence[str] | None = None) -> int:

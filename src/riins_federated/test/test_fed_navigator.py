@@ -227,8 +227,12 @@ def test_a_stamp_jump_restarts_the_run(v: Voyage) -> None:
     alone = run(v, Navigator(config())).drain_settled()
     assert [s.lat for s in settled[30:]] == [s.lat for s in alone]
     assert any("jumped by" in e.text for e in navigator.drain_events())
-    navigator.add_imu(v.stamp[:10], v.sequence[:10], v.rate[:10], v.force[:10])  # back, as in a bag that loops
+    early = replace(v.initial, stamp_ns=v.initial.stamp_ns - 3 * SECOND)
+    assert "too late" in navigator.set_initial_state(early)  # before the samples that belong to it ...
+    navigator.add_imu(v.stamp[:200] - 3 * SECOND, v.sequence[:200], v.rate[:200], v.force[:200])  # ... go back, as in a bag that loops
     assert navigator.restarts == 2
+    head = navigator.head()
+    assert head is not None and head.stamp_ns == v.stamp[199] - 3 * SECOND
 
 
 def test_the_operator_excludes_and_restores(v: Voyage) -> None:
