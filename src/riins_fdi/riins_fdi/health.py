@@ -118,6 +118,7 @@ class HealthMachine:
 
     @property
     def state(self) -> HealthState:
+        """State in force."""
         return self._m.state
 
     @property
@@ -132,6 +133,7 @@ class HealthMachine:
 
     @property
     def in_use(self) -> bool:
+        """The state is one whose measurements are used."""
         return self._m.state in IN_USE
 
     @property

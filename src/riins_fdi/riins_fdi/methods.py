@@ -67,9 +67,11 @@ class _Method:
         return np.asarray(np.where(self._used, np.asarray(z, dtype=np.float64), 0.0) @ self.test.whitened.T)
 
     def statistic(self, z: ArrayLike) -> Array:
+        """Test statistic (...) of measurements z (..., n)."""
         return np.asarray(np.sum(self._parity(z) ** 2, axis=-1))
 
     def isolate(self, z: ArrayLike) -> Index:
+        """Sensor (...) the method names; -1: none."""
         return np.asarray(np.argmax(single_scores(self.test, z), axis=-1))
 
     def diagnose(self, z: ArrayLike) -> Diagnosis:
@@ -102,9 +104,11 @@ class OptimalParityVector(_Method):
         self.threshold = family_threshold(self.vectors, pfa)
 
     def statistic(self, z: ArrayLike) -> Array:
+        """Test statistic (...) of measurements z (..., n)."""
         return np.asarray(np.max(np.abs(self._parity(z) @ self.vectors.T), axis=-1))
 
     def isolate(self, z: ArrayLike) -> Index:
+        """Sensor (...) the method names; -1: none."""
         return np.asarray(self._checked[np.argmax(np.abs(self._parity(z) @ self.vectors.T), axis=-1)])
 
 
@@ -130,9 +134,11 @@ class SingularValues(_Method):
         return np.asarray((np.where(self._used, np.asarray(z, dtype=np.float64), 0.0) / self.sigma) @ self.projector)
 
     def statistic(self, z: ArrayLike) -> Array:
+        """Test statistic (...) of measurements z (..., n)."""
         return np.asarray(np.sum(self.residual(z) ** 2, axis=-1))
 
     def isolate(self, z: ArrayLike) -> Index:
+        """Sensor (...) the method names; -1: none."""
         return np.asarray(np.argmax(np.abs(self.residual(z)), axis=-1))
 
 
@@ -169,15 +175,18 @@ class DirectComparison(_Method):
         return fault_identifier(self.residuals(z), self.threshold)
 
     def statistic(self, z: ArrayLike) -> Array:
+        """Test statistic (...) of measurements z (..., n)."""
         return np.asarray(np.max(np.abs(self.residuals(z)), axis=-1))
 
     def isolate(self, z: ArrayLike) -> Index:
+        """Sensor (...) the method names; -1: none."""
         broken = np.abs(self.residuals(z)) > self.threshold
         missed = broken.astype(np.float64) @ (~self._member).astype(np.float64)  # broken equations without sensor i
         explains = (missed == 0.0) & (self.test.gain > 0.0)
         return np.asarray(np.where((explains.sum(axis=-1) == 1) & broken.any(axis=-1), np.argmax(explains, axis=-1), -1))
 
     def diagnose(self, z: ArrayLike) -> Diagnosis:
+        """Answer for one epoch z (n,): the smallest sets with a sensor in every broken equation."""
         m = np.asarray(z, dtype=np.float64)
         residuals = np.abs(self.residuals(m))
         broken = residuals > self.threshold
