@@ -18,7 +18,7 @@ from riins_core.imu_array import CONFIGURATIONS, DODECAHEDRON_ANGLE, ImuArray
 from riins_core.noise import normal
 from riins_eval.studies import thesis_drift
 from riins_eval.studies.rows import Figure, Progress, Row, row
-from riins_fdi.methods import METHODS, make
+from riins_fdi.methods import METHODS, ParityMethod, make
 from riins_fdi.parity import fault_identifiers, parity_relations, parity_test
 from riins_fdi.search import explain, pair_scores
 from riins_fdi.sequential import Cusum, WindowedGlr
@@ -46,6 +46,12 @@ TABLE_4_2 = {
 """Table 4.2 as printed: failed sensors and word."""
 
 
+@functools.cache
+def _method(name: str, alpha: float = ALPHA) -> ParityMethod:
+    """A method for sensors of unit noise: its threshold is calibrated once."""
+    return make(name, ARRAY, 1.0, alpha)
+
+
 def printed_relations() -> Array:
     """Table 4.1 as rows (15, 6)."""
     rows = np.zeros((len(TABLE_4_1), 6))
@@ -57,7 +63,7 @@ def printed_relations() -> Array:
 
 def false_alarms(seed: int, epochs: int) -> dict[str, float]:
     """Part of `epochs` fault-free epochs in which each method alarms, and the optimal parity vectors with the thesis' threshold for one test."""
-    methods = {name: make(name, ARRAY, 1.0, ALPHA) for name in METHODS}
+    methods = {name: _method(name) for name in METHODS}
     counts = dict.fromkeys([*methods, "thesis"], 0)
     for k0 in range(0, epochs, _CHUNK):
         z = normal(seed, "false alarms", k0, min(_CHUNK, epochs - k0), 6)
@@ -73,7 +79,7 @@ def single_epoch(seed: int, epochs: int) -> dict[str, Array]:
     """Of each method (2, steps): part of `epochs` steps of k sigma, of each sensor in turn, that are detected, and detected and rightly named."""
     out = {}
     for name in METHODS:
-        method = make(name, ARRAY, 1.0, ALPHA)
+        method = _method(name)
         curve = np.zeros((2, len(STEPS)))
         for column, step in enumerate(STEPS):
             who = np.arange(epochs) % 6
@@ -93,7 +99,7 @@ def delay(test: WindowedGlr | Cusum | None, seed: int, step: float, slope: float
     z, sensor = normal(seed, "sequential", 0, _ONSET + most, 6), seed % 6
     z[_ONSET:, sensor] += step + slope * np.arange(1, most + 1)
     if test is None:
-        single = make("glt", ARRAY, 1.0, SEQUENTIAL_ALPHA)
+        single = _method("glt", SEQUENTIAL_ALPHA)
         alarm, named = single.statistic(z) > single.threshold, single.isolate(z)
     else:
         block = test.clone().process(z)
@@ -190,7 +196,7 @@ def _curve_rows(seeds: int, share: float) -> tuple[list[Row], dict[str, Array]]:
     epochs = 6 * max(100, int(10_000 * share) // seeds)
     each = [single_epoch(seed, epochs) for seed in range(seeds)]
     curves = {name: np.mean([e[name] for e in each], axis=0) for name in METHODS}
-    theory = ncx2.sf(make("glt", ARRAY, 1.0, ALPHA).threshold, 3, np.array(STEPS) ** 2 / 2.0)
+    theory = ncx2.sf(_method("glt").threshold, 3, np.array(STEPS) ** 2 / 2.0)
     tolerance = 0.01 if seeds * epochs >= 50_000 else 0.02
     rows = [
         row(
