@@ -27,6 +27,8 @@ LEVELS = {"ok": 0, "warn": 1, "error": 2, "stale": 3}  # diagnostic_msgs/Diagnos
 
 POS, VEL, PHI, BG, BA = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15)  # riins_core.ins_error.State
 
+_POSE = np.ix_([0, 1, 2, 6, 7, 8], [0, 1, 2, 6, 7, 8])  # position and phi
+
 
 def header(stamp_ns: Any, frame_id: str) -> Fields:
     """std_msgs/Header; `stamp_ns` int or (m,)."""
@@ -197,11 +199,9 @@ def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
     (computed C_nb = (I - [phi x]) true C_nb), hence the minus sign of its cross-covariance with position.
     """
     P, C_bn = np.asarray(solution.P), np.asarray(solution.C_nb).T
-
-    def block(rows: slice, columns: slice, sign: float = 1.0) -> Array:
-        return sign * local_frame.covariance(solution.lat, solution.lon, P[rows, columns])
-
-    pose_covariance = np.block([[block(POS, POS), block(POS, PHI, -1.0)], [block(PHI, POS, -1.0), block(PHI, PHI)]])
+    map_from_n = local_frame.vector(solution.lat, solution.lon, np.eye(3)).T
+    to_map = np.zeros((6, 6))
+    to_map[:3, :3], to_map[3:, 3:] = map_from_n, -map_from_n
     # v_b = C_bn v_n: its error is C_bn (dv + phi x v)
     v_n = np.asarray(solution.v_n, np.float64)
     to_body = np.hstack([C_bn, -C_bn @ skew(v_n)])
@@ -216,7 +216,7 @@ def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
                 "position": vector(local_frame.to_enu(solution.lat, solution.lon, solution.h)),
                 "orientation": quaternion(local_frame.attitude(solution.lat, solution.lon, solution.C_nb)),
             },
-            "covariance": _flat(pose_covariance),
+            "covariance": _flat(to_map @ P[_POSE] @ to_map.T),
         },
         "twist": {
             "twist": {"linear": vector(frames.frd_to_flu(C_bn @ v_n)), "angular": vector(frames.frd_to_flu(solution.rate_b))},

@@ -113,10 +113,13 @@ def read_velocity(msg: Any) -> AidReading:
 
 def read_doppler(msg: Any) -> AidReading:
     """Read the log, geometry_msgs/TwistWithCovarianceStamped in FLU: z forward, starboard, down m/s (NaN stays), R (3, 3) FRD, zeros when unknown."""
+    covariance = _linear_covariance(msg)
+    if np.isnan(msg.twist.twist.linear.z):  # not measured; whatever its covariance says must not spread when the axes are turned
+        covariance[2, :] = covariance[:, 2] = 0.0
     return {
         "stamp_ns": to_ns(msg.header.stamp),
         "z": frames.flu_to_frd(_vector(msg.twist.twist.linear)),
-        "R": frames.flu_to_frd_covariance(_linear_covariance(msg)),
+        "R": frames.flu_to_frd_covariance(covariance),
         "ok": True,
     }
 

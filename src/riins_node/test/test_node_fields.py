@@ -168,7 +168,12 @@ def test_velocities_back() -> None:
     log = convert.fill(TwistWithCovarianceStamped, fields.doppler(STAMP, np.array([1.0, -2.0, np.nan]), covariance))
     assert (log.twist.twist.linear.y, log.header.frame_id) == (2.0, "doppler_link")
     back = convert.read_doppler(log)
-    assert np.array_equal(back["z"], [1.0, -2.0, np.nan], equal_nan=True) and np.array_equal(back["R"], covariance)
+    horizontal = covariance * np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0]])
+    assert np.array_equal(back["z"], [1.0, -2.0, np.nan], equal_nan=True) and np.array_equal(back["R"], horizontal)
+    log.twist.covariance[14] = np.nan
+    assert np.array_equal(convert.read_doppler(log)["R"], horizontal)
+    whole = convert.fill(TwistWithCovarianceStamped, fields.doppler(STAMP, v, covariance))
+    assert np.array_equal(convert.read_doppler(whole)["z"], v) and np.array_equal(convert.read_doppler(whole)["R"], covariance)
     log.twist.covariance[0] = -1.0
     assert not convert.read_doppler(log)["R"].any()
 

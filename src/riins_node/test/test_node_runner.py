@@ -131,6 +131,21 @@ def test_error_in_a_callback_says_where(script: Path) -> None:
     assert "ZeroDivisionError" in done.stderr and "Traceback" in done.stderr
 
 
+def test_example_of_the_readme_runs(tmp_path: Path) -> None:
+    readme = Path(__file__).resolve().parents[1] / "README.md"
+    code = readme.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    file = tmp_path / "watch.py"
+    file.write_text(code.replace("self.config = ", "print('up', flush=True); self.config = "))
+    process = started(file)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 0, errors
+    done = finished(file, "--ros-args", "-p", "limit_dsp:=9.0")
+    assert done.returncode == 2
+    assert 'unknown parameter "limit_dsp" (did you mean "limit_dps"?)' in done.stderr
+
+
 def test_without_autostart_it_waits_for_a_manager(script: Path) -> None:
     process = started(script, "managed", "--ros-args", "-p", "autostart:=false", until="waiting")
     process.send_signal(signal.SIGINT)
