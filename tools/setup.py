@@ -146,11 +146,11 @@ def build() -> list[str]:
     for name in changed:
         shutil.rmtree(BUILD / name / "build", ignore_errors=True)  # or setuptools installs modules that are gone from src/
     command = [str(VENV / "bin" / "python"), "-m", "colcon", "build", "--base-paths", "src", "--packages-select", *changed]
-    command += ["--event-handlers", "console_direct-", "console_start_end-", "--cmake-args", "--no-warn-unused-cli"]
+    command += ["--event-handlers", "console_direct-", "console_start_end+", "--cmake-args", "--no-warn-unused-cli"]
     command += [f"-DCMAKE_PROJECT_INCLUDE={ROOT / 'tools' / 'fixup.cmake'}", f"-DPython3_EXECUTABLE={VENV / 'bin' / 'python'}", "-DBUILD_TESTING=ON"]
     command += ["-DCMAKE_BUILD_TYPE=Release"]
     if not _logged(command, LOG / "build.txt", environment()):
-        raise SetupError(_build_failure(changed))
+        raise SetupError(_build_failure())
     for name in changed:
         _remove_stale(name)
         _pin_interpreter(name)
@@ -273,14 +273,15 @@ def _last_line(log: Path) -> str:
     return (telling or lines or ["no output"])[-1][:300]
 
 
-def _build_failure(changed: Iterable[str]) -> str:
-    for name in changed:
-        log = LOG / "latest_build" / name / "stdout_stderr.log"
-        status = LOG / "latest_build" / name / "command.log"
-        if log.is_file() and status.is_file() and re.search(r"(exited with code|returned exit code) '?[1-9]", status.read_text(errors="replace")):
-            print("\n".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:]), file=sys.stderr)
-            return f"package {name} does not build (its last lines are above, all of them in {_short(log)}): correct that and run make again"
-    return f"colcon failed ({_last_line(LOG / 'build.txt')}): the whole story is in {_short(LOG / 'build.txt')}"
+def _build_failure() -> str:
+    """Print the last lines of what went wrong and name the package."""
+    said = (LOG / "build.txt").read_text(encoding="utf-8", errors="replace")
+    failed = re.search(r"^Failed\s+<<<\s+(\S+)", said, re.MULTILINE)
+    log = LOG / "latest_build" / failed[1] / "stdout_stderr.log" if failed else LOG / "build.txt"
+    log = log if log.is_file() and log.stat().st_size else LOG / "build.txt"
+    print("\n".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-25:]), file=sys.stderr)
+    name = f"package {failed[1]}" if failed else "the workspace"
+    return f"{name} does not build (its last lines are above, all of them in {_short(log)}): correct that and run make again"
 
 
 def _short(path: Path) -> str:
