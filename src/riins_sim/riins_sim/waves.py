@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.integrate
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core.earth import STANDARD_GRAVITY
@@ -56,7 +57,7 @@ def jonswap(omega: ArrayLike, significant_wave_height: float, peak_period: float
     omega = np.asarray(omega, dtype=np.float64)
     peak = 2.0 * math.pi / peak_period
     grid = np.linspace(0.2, 20.0, 20001) * peak
-    m0 = float(np.trapezoid(_jonswap_shape(grid, peak, gamma), grid))
+    m0 = float(scipy.integrate.trapezoid(_jonswap_shape(grid, peak, gamma), grid))
     return np.asarray(_jonswap_shape(omega, peak, gamma) * (significant_wave_height**2 / 16.0 / m0))
 
 
