@@ -195,6 +195,7 @@ class FaultOutcome:
 
     @property
     def isolated_right(self) -> bool:
+        """The faulty one was isolated, and nothing healthy of its kind with it."""
         return self.isolated and not self.wrong
 
 

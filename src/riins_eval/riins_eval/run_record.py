@@ -113,6 +113,7 @@ class HealthChange:
 
     @property
     def state_name(self) -> str:
+        """The state in a word."""
         return (SENSOR_STATES if is_imu_sensor(self.target) else SUBFILTER_STATES)[self.state]
 
     @property
