@@ -11,12 +11,13 @@ from typing import Any
 
 from .adaptive import AdaptiveFusion
 from .drift_compensated import DriftCompensatedFusion
+from .glr_kf import GlrKalman
 from .method import FusionMethod, TriadModel
 from .optimal import OptimalFusion
 from .wls import WeightedLeastSquares
 
 METHODS: dict[str, Callable[..., FusionMethod]] = {
-    method.name: method for method in (WeightedLeastSquares, OptimalFusion, AdaptiveFusion, DriftCompensatedFusion)
+    method.name: method for method in (WeightedLeastSquares, OptimalFusion, AdaptiveFusion, DriftCompensatedFusion, GlrKalman)
 }
 """Classes by name; `name`, `title` and `oracle` (True: the model must name the bad sensors) are attributes of each."""
 

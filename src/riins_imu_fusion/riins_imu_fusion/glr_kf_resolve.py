@@ -1,0 +1,331 @@
+"""Who explains an alarm of `glr_kf`: the log of parity sums since the moment before it, every sensor and every pair weighed.
+
+Lives here: the log, the hypotheses and their likelihoods, going back to the base of the log under one of them.
+Does not live here: what raises an alarm (glr_kf_kernel.py), the filter's steps (glr_kf_filter.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from riins_core.jit import jit
+
+from .glr_kf_filter import absorb, forget, free, wander, whiten
+from .glr_kf_state import ACTIVE, COUNT, DOF, DOUBT, FILLED, FIRST, LOG, OPEN, SECOND, STRIDE, F, GlrRules, GlrState
+
+# what a sample brought
+QUIET, OPENED, DOUBTFUL = 0, 1, 2
+
+
+@jit
+def begin_log(st: GlrState, level: int, slot: int) -> None:
+    """An alarm: keep the moment before its onset, and the sums at all moments remembered since then."""
+    began = st.at[level, slot]
+    older, place, at = -1, -1, -1
+    for q in range(st.ring[level, 1]):  # one moment earlier than the likeliest, if there is one: the onset may lie between the two
+        if st.at[level, q] < began and st.at[level, q] > at:
+            older, place, at = level, q, st.at[level, q]
+    if older < 0:
+        older, place, at = level, slot, began
+    st.base_x[:] = st.r_x[older, place]
+    st.base_P[:] = st.r_P[older, place]
+    st.base_C[:] = st.r_C[older, place]
+    st.base_total[:] = st.r_total[older, place]
+    st.base_sum[:] = st.r_sum[older, place]
+    st.ints[DOUBT] = 1
+    st.ints[STRIDE] = 1
+    st.ints[FILLED] = 0
+    last = at - 1
+    while True:  # in order of time, each once
+        nearest, f_level, f_slot = st.ints[COUNT], -1, -1
+        for q_level in range(st.ring.shape[0]):
+            for q in range(st.ring[q_level, 1]):
+                a = st.at[q_level, q]
+                if a > last and a < nearest:
+                    nearest, f_level, f_slot = a, q_level, q
+        if f_level < 0:
+            break
+        log_moment(st, nearest, st.r_sum[f_level, f_slot])
+        last = nearest
+
+
+@jit
+def log_moment(st: GlrState, count: int, total: F) -> None:
+    """Append a moment; a full log drops every second one but the first."""
+    if st.ints[FILLED] == LOG:
+        kept = 1
+        for q in range(2, LOG, 2):
+            st.log_at[kept] = st.log_at[q]
+            st.log_sum[kept] = st.log_sum[q]
+            kept += 1
+        st.ints[FILLED] = kept
+        st.ints[STRIDE] *= 2
+    st.log_at[st.ints[FILLED]] = count
+    st.log_sum[st.ints[FILLED]] = total
+    st.ints[FILLED] += 1
+
+
+@jit
+def close_log(st: GlrState) -> None:
+    """The alarm is over; all windows begin now."""
+    st.ints[DOUBT] = 0
+    st.ints[FIRST] = 0
+    st.ints[SECOND] = 0
+    forget(st)
+
+
+@jit
+def shapes(st: GlrState, w: float, y: F, gram: F, weight: F, mean: F) -> int:
+    """What a drift may look like since the base of the log: steps at each entry, then ramps from every second one on (end at 1).
+
+    Parameters
+    ----------
+    w : samples since the base
+    y : (LOG, d), to be filled: sum of each interval of the log without what the base expected
+    gram, weight, mean : (K, K), (K,), (K, d), to be filled: sums over the intervals of w f_k f_l, w f_k, f_k y
+
+    Returns
+    -------
+    K, shapes in use
+    """
+    d, G, now = st.ints[DOF], st.ints[FILLED], st.ints[COUNT]
+    span, f = np.empty(G), np.zeros((gram.shape[0], G))
+    for g in range(G):
+        last = g + 1 == G
+        span[g] = float((now if last else st.log_at[g + 1]) - st.log_at[g])
+        for r in range(d):
+            e = (st.sum[r] if last else st.log_sum[g + 1, r]) - st.log_sum[g, r]
+            for i in range(st.x.shape[0]):
+                e -= span[g] * st.V[r, i] * st.base_x[i]
+            y[g, r] = e
+    K = G
+    for k in range(G):
+        for g in range(k, G):
+            f[k, g] = 1.0
+    for k in range(0, G - 2, 2):
+        length = float(now - st.log_at[k])
+        for g in range(k, G):
+            f[K, g] = (st.log_at[g] - st.log_at[k] + 0.5 * span[g]) / length
+        K += 1
+    for k in range(K):
+        weight[k] = 0.0
+        for r in range(d):
+            mean[k, r] = 0.0
+        for g in range(G):
+            weight[k] += span[g] * f[k, g]
+            for r in range(d):
+                mean[k, r] += f[k, g] * y[g, r]
+        for j in range(k + 1):
+            a = 0.0
+            for g in range(max(onset(k, G), onset(j, G)), G):
+                a += span[g] * f[k, g] * f[j, g]
+            gram[k, j] = a
+            gram[j, k] = a
+    return K
+
+
+@jit
+def onset(k: int, G: int) -> int:
+    """Entry of the log at which a shape begins."""
+    return k if k < G else 2 * (k - G)
+
+
+@jit
+def best_two(b_i: F, b_j: F, a_i: F, a_j: F, vv: float, uu: float, gram: F, weight: F, w: float, K: int, same: bool) -> tuple[float, int, int]:
+    """Largest statistic of two drifts of any shapes, and the shapes; `same`: both of one sensor."""
+    top, top_k, top_j = -1.0, 0, 0
+    for k in range(K):
+        for j in range(k if same else K):
+            c = vv * (gram[k, j] - weight[k] * weight[j] / w) + weight[k] * weight[j] / (w * w) * uu
+            det = a_i[k] * a_j[j] - c * c
+            if det <= 1e-6 * a_i[k] * a_j[j]:
+                continue
+            s = (b_i[k] * b_i[k] * a_j[j] - 2.0 * b_i[k] * b_j[j] * c + b_j[j] * b_j[j] * a_i[k]) / det
+            if s > top:
+                top, top_k, top_j = s, k, j
+    return top, top_k, top_j
+
+
+@jit
+def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, int, int, int]:
+    """Who explains what has come since the base of the log: one sensor, with one change or two, or two sensors, each with a change of its own.
+
+    The common mean of the parity vector, of which the base says N(V x, V P V'), is eliminated; what is left of each hypothesis is one or two
+    unknown sizes f with information A and A f = b, and the statistic b'A^-1 b. With S = V P V' + I/w, (M^-1 + w I)^-1 = I/w - S^-1/w^2.
+
+    Returns
+    -------
+    verdict : QUIET: the alarm has passed; DOUBTFUL: not resolved yet; OPENED
+    first, second : sensors; when in doubt, those that explain it best so far; -1: none; both the same: it changed twice
+    shape_first, shape_second : as in `shapes`
+    """
+    n, d, G, now = st.x.shape[0], st.ints[DOF], st.ints[FILLED], st.ints[COUNT]
+    w = float(now - st.log_at[0])
+    nu = np.zeros(d)
+    for r in range(d):
+        nu[r] = st.sum[r] - st.base_sum[r]
+        for i in range(n):
+            nu[r] -= w * st.V[r, i] * st.base_x[i]
+        for c in range(r + 1):
+            a = 1.0 / w if r == c else 0.0
+            for i in range(n):
+                b = 0.0
+                for j in range(n):
+                    b += st.base_P[i, j] * st.V[c, j]
+                a += st.V[r, i] * (b + (wander(st, rules, i, now) * w / 3.0 + rules.floor2[i]) * st.V[c, i])
+            S[r, c] = a
+    if w < 1.0 or not whiten(st.V, d, nu, S, u, t):
+        return QUIET, -1, -1, 0, 0
+    most_shapes = G + (G + 1) // 2
+    y, gram, weight, mean = np.empty((G, d)), np.empty((most_shapes, most_shapes)), np.empty(most_shapes), np.empty((most_shapes, d))
+    K = shapes(st, w, y, gram, weight, mean)
+    rhs, info = np.zeros((n, K)), np.ones((n, K))
+    vv, uu = np.zeros((n, n)), np.zeros((n, n))
+    single, one, two = np.full(n, -1.0), np.zeros(n, np.int64), np.full(n, -1)
+    best, value = -1, -1.0
+    for i in range(n):
+        for j in range(n):
+            for r in range(d):
+                vv[i, j] += st.V[r, i] * st.V[r, j]
+                uu[i, j] += u[r, i] * u[r, j]
+        if vv[i, i] <= 1e-12 / rules.sigma2[i]:
+            continue
+        bonus = rules.bonus if st.open[i] == OPEN else 0.0
+        along = 0.0
+        for r in range(d):
+            along += u[r, i] * t[r]
+        for k in range(K):
+            b = weight[k] / (w * w) * along
+            for r in range(d):
+                b += st.V[r, i] * (mean[k, r] - weight[k] / w * nu[r])
+            rhs[i, k] = b
+            info[i, k] = vv[i, i] * (gram[k, k] - weight[k] * weight[k] / w) + weight[k] * weight[k] / (w * w) * uu[i, i]
+            s = b * b / info[i, k] + bonus
+            if s > single[i]:
+                single[i], one[i] = s, k
+        s, k, j = best_two(rhs[i], rhs[i], info[i], info[i], vv[i, i], uu[i, i], gram, weight, w, K, True)
+        if s + bonus - rules.twice > single[i]:
+            single[i], one[i], two[i] = s + bonus - rules.twice, k, j
+        if single[i] > value:
+            best, value = i, single[i]
+    if best < 0 or value < 0.5 * (rules.again if st.open[best] == OPEN else rules.alarm):
+        return QUIET, -1, -1, 0, 0
+    if d < 2:
+        return DOUBTFUL, -1, -1, 0, 0
+    runner, first, second, shape_first, shape_second, most, next_most = -1.0, -1, -1, 0, 0, -1.0, -1.0
+    for i in range(n):
+        if single[i] < 0.0:
+            continue
+        if i != best:
+            runner = max(runner, single[i])
+        for j in range(i + 1, n):
+            if d < 3 or single[j] < 0.0:
+                continue
+            s, k, q = best_two(rhs[i], rhs[j], info[i], info[j], vv[i, j], uu[i, j], gram, weight, w, K, False)
+            s += (rules.bonus if st.open[i] == OPEN else 0.0) + (rules.bonus if st.open[j] == OPEN else 0.0)
+            if s > most:
+                next_most = most
+                first, second, shape_first, shape_second, most = i, j, k, q, s
+            elif s > next_most:
+                next_most = s
+    # what the best one leaves of the scatter of the log, noise and misfit: differences count in units of it
+    left = -max(value, most)
+    for r in range(d):
+        left += t[r] * t[r] / (w * w) - nu[r] * nu[r] / w
+        for g in range(G):
+            span = float((now if g + 1 == G else st.log_at[g + 1]) - st.log_at[g])
+            if span > 0.0:
+                left += y[g, r] * y[g, r] / span
+    misfit = max(1.0, left / max(d * G - 2, 1))
+    if most - value < rules.parsimony * misfit:
+        ahead = (value - runner) / misfit
+        sure = value >= rules.sure * misfit or st.open[best] == OPEN
+        first, second, shape_first, shape_second = best, best if two[best] >= 0 else -1, one[best], two[best]
+    else:
+        ahead = (most - next_most) / misfit
+        sure = most >= rules.sure * misfit
+    if sure and ahead >= rules.margin:
+        return OPENED, first, second, shape_first, shape_second
+    if ahead >= rules.lead:
+        return DOUBTFUL, first, second, shape_first, shape_second
+    return DOUBTFUL, -1, -1, 0, 0
+
+
+@jit
+def suppose(st: GlrState, rules: GlrRules, first: int, second: int, shape_first: int, shape_second: int) -> None:
+    """Go back to the base of the log, let the drift of up to two sensors be anything from its onset on, and take in what has come since.
+
+    One that grows like a ramp wanders while the log is taken in, by as much as the parities say.
+    """
+    n, d, G = st.x.shape[0], st.ints[DOF], st.ints[FILLED]
+    if st.ints[ACTIVE] == 0:
+        # nothing has been removed so far: what is known of healthy sensors is not seen in W, so it may as well have been
+        for i in range(n):
+            st.paid[i] = st.base_total[i] + (st.ints[COUNT] - st.log_at[0]) * st.base_x[i]
+        st.ints[ACTIVE] = 1
+    st.x[:] = st.base_x
+    st.P[:] = st.base_P
+    st.C[:] = st.base_C
+    st.total[:] = st.base_total
+    mean = np.empty(d)
+    for g in range(G):
+        if first >= 0 and g == onset(shape_first, G):
+            free(st, rules, first, st.log_at[g])
+        if second >= 0 and g == onset(shape_second, G):
+            free(st, rules, second, st.log_at[g])
+        end = st.log_at[g + 1] if g + 1 < G else st.ints[COUNT]
+        w = end - st.log_at[g]
+        if w < 1:
+            continue
+        for r in range(d):
+            mean[r] = ((st.log_sum[g + 1, r] if g + 1 < G else st.sum[r]) - st.log_sum[g, r]) / w
+        for i in range(n):
+            st.P[i, i] += w * wander(st, rules, i, end)
+        for i, shape in ((first, shape_first), (second, shape_second)):
+            if i >= 0 and shape >= G and g > onset(shape, G):
+                st.P[i, i] += w * growth(st, i, st.ints[COUNT] - st.log_at[onset(shape, G)])
+        for i in range(n):
+            st.total[i] += w * st.x[i]
+            for j in range(n):
+                st.C[i, j] += w * st.P[i, j]
+        absorb(st.V, d, mean, 1.0 / w, st.x, st.P, st.C, st.total)
+    st.ints[FIRST] = first + 1
+    st.ints[SECOND] = second + 1
+
+
+@jit
+def growth(st: GlrState, i: int, age: int) -> float:
+    """Variance of a step for a drift that has become about as large as the parity of the last half of the log along its sensor, within `age`."""
+    g = st.ints[FILLED] // 2
+    w = float(st.ints[COUNT] - st.log_at[g])
+    a, b = 0.0, 0.0
+    for r in range(st.ints[DOF]):
+        e = (st.sum[r] - st.log_sum[g, r]) / w
+        for k in range(st.x.shape[0]):
+            e -= st.V[r, k] * st.base_x[k]
+        a += st.V[r, i] * e
+        b += st.V[r, i] * st.V[r, i]
+    return float((a / b) ** 2 / age)
+
+
+@jit
+def settle(st: GlrState, first: int, second: int, shape_first: int, shape_second: int) -> None:
+    """What is supposed is so: the sensors are open from now on."""
+    if first >= 0:
+        mark_open(st, first, onset(shape_first, st.ints[FILLED]))
+    if second >= 0 and second != first:
+        mark_open(st, second, onset(shape_second, st.ints[FILLED]))
+    close_log(st)
+
+
+@jit
+def mark_open(st: GlrState, i: int, at: int) -> None:
+    """A sensor is open since an entry of the log."""
+    change = st.x[i] - st.base_x[i]
+    if st.open[i] == OPEN:  # opened again: it wanders, and by about so much
+        age = max(st.log_at[at] - st.opened[i], 1)
+        st.walk[i] = max(st.walk[i], change * change / age)
+    st.open[i] = OPEN
+    st.opened[i] = st.log_at[at]
+    st.jump[i] = change
+    st.noise[i] = 1.0
