@@ -28,6 +28,8 @@ from riins_bringup.processes import Exit, GraphError, Processes
 from riins_bringup.table import change_line, live_table, plain_line, summary_table
 from riins_bringup.watch import Watcher
 
+DISCOVERY_S = 1.0
+"""So long the launcher looks whether another graph is in its domain."""
 READY_TIMEOUT_S = 180.0  # cold kernels compile in the nodes' on_configure
 MATCHING_S = 1.0  # that we see two endpoints does not mean that they have seen each other; a player's first message must not be lost
 _QUIET_S = 1.5  # no navigation state for this long at the end: all is settled
@@ -128,10 +130,13 @@ class LiveRun:
             if dead := self.dead():
                 raise GraphError(describe(dead))
 
+        self._watcher = Watcher(self.graph.namespace, self.monitor)
+        if taken := self._watcher.taken(self.graph.of("source", "consumer"), DISCOVERY_S):
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise GraphError(f"{taken[0]} in ROS domain {domain}: stop that graph, or set ROS_DOMAIN_ID to another number")
         began = time.monotonic()
         consumers, observers = self.graph.of("consumer"), self.graph.of("observer")
         self.processes.start(*consumers, *map(_held, observers))
-        self._watcher = Watcher(self.graph.namespace, self.monitor)
         if missing := self._watcher.wait_for(consumers, READY_TIMEOUT_S, alive):
             raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
         needed = time.monotonic() - began

@@ -78,6 +78,16 @@ class Watcher:
                 lines += [f'node "{spec.name}" does not {word} {spec.topic(t)}' for t in topics if not _has(seen(spec.topic(t)), spec)]
         return lines
 
+    def taken(self, specs: Iterable[NodeSpec], timeout: float) -> list[str]:
+        """Topics that nodes, none of which runs yet, would publish and somebody publishes already, one line each; looks for `timeout` seconds."""
+        topics, deadline = {spec.topic(name) for spec in specs for name in spec.publishes}, time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            for topic in sorted(topics):
+                if self.node.count_publishers(topic):
+                    return [f"{topic} is already published"]
+            time.sleep(0.05)
+        return []
+
     def wait_for(self, specs: Iterable[NodeSpec], timeout: float, check: Callable[[], None] = lambda: None) -> list[str]:
         """Wait until every endpoint of the nodes exists.
 

@@ -22,6 +22,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from riins_core.frames import LocalFrame, flu_to_frd_covariance
 from riins_msgs import msg, srv
 from riins_node import convert, fields, qos
+from riins_node.inputs import several_publishers
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
 
@@ -44,6 +45,7 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "imu/data": (Imu, qos.navigation),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
+INPUTS = ("imu/fused", "gps/fix", "bds/fix", "doppler/velocity")
 
 
 class NavigatorNode(AutostartLifecycleNode):
@@ -81,7 +83,7 @@ class NavigatorNode(AutostartLifecycleNode):
             self.create_service(srv.SetInitialState, "~/set_initial_state", self._set_initial_state),
             self.create_service(srv.SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
         ]
-        self._watch = self.create_timer(0.5, self._watch_imu)
+        self._watch = self.create_timer(0.5, self._watch_inputs)
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -181,11 +183,17 @@ class NavigatorNode(AutostartLifecycleNode):
         if self._second.now(stamp_ns):
             self._publish("/diagnostics", fields.diagnostics(stamp_ns, diagnosis(report, self._refused)))
 
-    def _watch_imu(self) -> None:
-        if self.active and time.monotonic() - self._last_wall > self._settings.imu_timeout_s:
+    def _watch_inputs(self) -> None:
+        if not self.active:
+            return
+        problems = several_publishers(self, INPUTS)
+        if time.monotonic() - self._last_wall > self._settings.imu_timeout_s:
+            problems.append("no IMU: nothing on imu/fused")
+        for line in problems:
+            self.get_logger().warning(line, throttle_duration_sec=10.0)
+        if problems:
             stamp = self.get_clock().now().nanoseconds
-            self._publish("/diagnostics", fields.diagnostics(stamp, [("navigator", "error", "no IMU: nothing on imu/fused", {})]))
-            self.get_logger().warning("no IMU: nothing on imu/fused", throttle_duration_sec=10.0)
+            self._publish("/diagnostics", fields.diagnostics(stamp, [("navigator: inputs", "error", line, {}) for line in problems]))
 
 
 def _frd(covariance: Any) -> Array:

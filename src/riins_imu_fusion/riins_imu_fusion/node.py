@@ -24,6 +24,7 @@ from riins_imu_fusion.types import FusedBlock
 from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu
 from riins_msgs.srv import SetSensorUse
 from riins_node import convert, fields, qos
+from riins_node.inputs import several_publishers
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
 
@@ -124,7 +125,11 @@ class ImuFusionNode(AutostartLifecycleNode):
         alive = time.monotonic() - self._heard <= self._config.imu_timeout_s
         if not alive:
             self.get_logger().warning("no IMU: nothing on rimu/raw", throttle_duration_sec=10.0)
-        self._publish("/diagnostics", fields.diagnostics(self.get_clock().now().nanoseconds, diagnosis(self._pipeline.status(), alive)))
+        statuses = diagnosis(self._pipeline.status(), alive)
+        for line in several_publishers(self, ["rimu/raw"]):
+            self.get_logger().warning(line, throttle_duration_sec=10.0)
+            statuses.append(("imu_fusion: inputs", "error", line, {}))
+        self._publish("/diagnostics", fields.diagnostics(self.get_clock().now().nanoseconds, statuses))
 
 
 def main(args: Sequence[str] | None = None) -> int:
