@@ -18,8 +18,8 @@ from typer.exceptions import TyperException
 OK, BAD_RESULT, BAD_USE = 0, 1, 2
 
 # by name: importing the classes would import what raises them
-_USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "FileNotFoundError", "FileExistsError",
-                "IsADirectoryError", "NotADirectoryError", "PermissionError"}  # fmt: skip
+_USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "StudyError", "FileNotFoundError",
+                "FileExistsError", "IsADirectoryError", "NotADirectoryError", "PermissionError"}  # fmt: skip
 _FAILURES = {"GraphError"}
 
 app = typer.Typer(
@@ -213,6 +213,38 @@ def import_file(
 
 
 @app.command()
+def reproduce(
+    name: Annotated[str, typer.Argument(help="study: thesis", metavar="NAME")],
+    quick: Annotated[bool, typer.Option("--quick", help="five seeds and fewer epochs, for a first look")] = False,
+    seeds: Annotated[int | None, typer.Option(help="seeds of everything random (default: 50, with --quick 5)", min=1)] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="write the rows to this file, as documented in docs/json.md", metavar="FILE")
+    ] = None,
+) -> int:
+    """Run the experiments of a paper anew and write one page: its numbers beside ours, with spread and figures.
+
+    Exit status 1 when a number misses its target. Example: [bold]riins reproduce thesis --quick[/bold], then open out/reproduce_thesis/index.html
+    """
+    from riins_eval import reproduce as study
+
+    directory = out or Path("out") / f"reproduce_{name}"
+    with _Progress(f"reproduce {name}", speed=False) as progress:
+        rows = study.reproduce(name, seeds=seeds, quick=quick, out=directory, progress=progress)
+    missed = study.missed(rows)
+    for row in missed:
+        _console().print(
+            f"target {row.target} missed: {row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g})", style="red", markup=False, highlight=False
+        )
+    aimed = sum(row.target is not None and row.ok is not None for row in rows)
+    _console().print(
+        f"{aimed - len(missed)} of {aimed} rows reach their target; page: {directory / 'index.html'}", markup=False, highlight=False, soft_wrap=True
+    )
+    _write_json(json_file, study.as_json(rows))
+    return BAD_RESULT if missed else OK
+
+
+@app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", help="directory for bags and reports, made anew", metavar="DIR")] = Path("out/demo"),
     duration: Annotated[float, typer.Option(help="length of the live run [s] (0: all of the scenario)")] = 0.0,
@@ -366,16 +398,16 @@ def _write_json(path: Path | None, figures: Any) -> None:
 
 
 class _Progress:
-    """A progress bar with the speed in times real time; nothing where the output is no terminal."""
+    """A progress bar, with the speed in times real time unless told; nothing where the output is no terminal."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, speed: bool = True) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
         self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._title = title
+        self._title, self._speed = title, speed
 
     def __enter__(self) -> _Progress:
         self._bar.start()
@@ -386,8 +418,8 @@ class _Progress:
         self._bar.stop()
 
     def __call__(self, done: float, total: float) -> None:
-        """`done` of `total` seconds of measurement time are computed."""
-        elapsed = self._bar.tasks[0].elapsed or 0.0
+        """`done` of `total` are computed: seconds of measurement time where the speed is shown."""
+        elapsed = (self._bar.tasks[0].elapsed or 0.0) if self._speed else 0.0
         self._bar.update(self._task, completed=done, total=total, speed=f"{done / elapsed:.0f} x real time" if elapsed > 0.2 else "")
 
 

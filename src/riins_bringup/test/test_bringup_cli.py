@@ -9,12 +9,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import types
 
 import pytest
 
 from riins_bringup.cli import main
 
-VERBS = ["geometry", "sail", "navigate", "score", "report", "up", "import", "demo", "bag info", "bag recover", "bag play"]
+VERBS = ["geometry", "sail", "navigate", "score", "report", "up", "import", "reproduce", "demo", "bag info", "bag recover", "bag play"]
 
 
 @pytest.mark.parametrize("verb", ["", "bag", *VERBS])
@@ -45,6 +46,8 @@ def test_help_imports_nothing_heavy():
         (["bag", "info", "/no/such/bag"], "/no/such/bag"),
         (["geometry", "/no/such/file"], "/no/such/file"),
         (["sail", "harbour", "--record", "nav"], "--out"),
+        (["reproduce", "thesiss"], '"thesis"'),
+        (["reproduce", "thesis", "--seeds", "0"], "--seeds"),
     ],
 )
 def test_bad_use_is_one_line_and_status_2(words, message, capsys):
@@ -80,3 +83,24 @@ def test_geometry_of_a_file(tmp_path, capsys):
         assert main(["geometry", str(path)]) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1 and message in error and "axes.txt" in error
+
+
+@pytest.mark.parametrize(("ok", "status"), [(True, 0), (False, 1), (None, 0)])
+def test_reproduce_says_what_is_missed(tmp_path, monkeypatch, capsys, ok, status):
+    from riins_eval import reproduce
+    from riins_eval.studies.rows import Row
+
+    def run(seeds, quick, progress):
+        progress(1.0)
+        return [Row(7, "made up", 0.5, 0.25, 0.2, 0.3, seeds, ok, "")], []
+
+    monkeypatch.setitem(sys.modules, "made_up", types.SimpleNamespace(run=run))
+    monkeypatch.setitem(reproduce.STUDIES, "made_up", reproduce.Reproduction("Made up", "", (reproduce.Chapter("made_up", "All"),)))
+    page, rows = tmp_path / "out", tmp_path / "rows.json"
+    assert main(["reproduce", "made_up", "--seeds", "3", "--out", str(page), "--json", str(rows)]) == status
+    assert json.loads(rows.read_text()) == json.loads((page / "rows.json").read_text())
+    assert json.loads(rows.read_text())[0] == {
+        "target": 7, "name": "made up", "paper": 0.5, "value": 0.25, "p05": 0.2, "p95": 0.3, "n": 3, "ok": ok, "remark": "",
+    }  # fmt: skip
+    out = capsys.readouterr().out
+    assert str(page / "index.html") in out and ("target 7 missed: made up: 0.25 (0.2 .. 0.3)" in out) == (status == 1)

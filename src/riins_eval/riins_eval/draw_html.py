@@ -18,7 +18,7 @@ from plotly.subplots import make_subplots
 
 from .plots import INK, STATE_COLORS, Figure, Panel
 
-_STYLE = """
+STYLE = """
 :root { --ink: #1f2937; --muted: #6b7280; --line: #e5e7eb; --ground: #f8fafc; --good: #047857; --bad: #b91c1c; --accent: #0072b2 }
 * { box-sizing: border-box }
 body { margin: 0; background: var(--ground); color: var(--ink); font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif }
@@ -80,7 +80,7 @@ def page(
     kind = {None: "", True: " passed", False: " failed"}[passed]
     parts = [
         "<!DOCTYPE html><html lang=en><head><meta charset=utf-8><meta name=viewport content='width=device-width, initial-scale=1'>",
-        f"<title>{_text(title)} - RIINS report</title><style>{_STYLE}</style>",
+        f"<title>{_text(title)} - RIINS report</title><style>{STYLE}</style>",
         f"<script>{get_plotlyjs()}</script></head><body><main>",
         f"<div class=top><div><h1>{_text(title)}</h1><p>{_text(description)}</p><p>{_text(facts)}</p></div>",
         f"<div class='badge{kind}'>{word}</div></div>",

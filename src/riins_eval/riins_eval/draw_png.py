@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 
 from .plots import INK, MUTED, STATE_COLORS, Figure, Panel
 
-_STYLE: dict[str, Any] = {
+STYLE: dict[str, Any] = {
     "font.size": 10, "axes.edgecolor": MUTED, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK, "axes.grid": True,
     "grid.color": "#e5e7eb", "grid.linewidth": 0.8, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
     "legend.frameon": False, "font.family": "DejaVu Sans",
@@ -33,7 +33,7 @@ def draw_png(figure: Figure, path: Path, title: str) -> None:
     path : PNG to write
     title : of the run, put before the figure's own
     """
-    with matplotlib.rc_context(_STYLE):  # type: ignore[arg-type,unused-ignore]
+    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type,unused-ignore]
         height = 1.1 + sum(figure.height for _ in figure.panels) / 100.0
         canvas = Canvas(figsize=(11.0, min(height, 14.0)), dpi=_DPI, layout="constrained")
         FigureCanvasAgg(canvas)

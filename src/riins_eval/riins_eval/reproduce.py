@@ -1,0 +1,206 @@
+"""Studies of the papers, run over many seeds and written as one page: each number beside the paper's.
+
+Lives here: the registry of names, and `reproduce`, which runs the studies, two at a time, and writes page, figures and rows.json.
+Does not live here: the studies (studies/), the page itself (reproduce_page.py).
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import dataclasses
+import importlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from riins_core.settings import nearest
+
+from .studies.rows import Row
+
+Report = Callable[[float, float], None]
+
+
+class StudyError(ValueError):
+    """There is no study of this name, or it cannot be run as asked."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Chapter:
+    """One study module: its heading on the page and its share of the computing time."""
+
+    module: str
+    title: str
+    weight: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Reproduction:
+    """What a name stands for."""
+
+    title: str
+    about: str
+    chapters: tuple[Chapter, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """A figure of a study, drawn: file name without suffix, title, PNG."""
+
+    name: str
+    title: str
+    png: bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """What a chapter gave."""
+
+    chapter: Chapter
+    rows: tuple[Row, ...]
+    figures: tuple[Drawn, ...]
+
+
+STUDIES: dict[str, Reproduction] = {
+    "thesis": Reproduction(
+        "The redundant IMU of the thesis",
+        "Tables, curves and experiments of chapters 2, 4, 5 and 6, computed anew with simulated sensors over many seeds of the noise.",
+        (
+            Chapter("riins_eval.studies.thesis_configuration", "Chapter 2: how many sensors, and how they are mounted", 0.01),
+            Chapter("riins_eval.studies.thesis_detection", "Chapter 4: detection, isolation, drift compensation"),
+            Chapter("riins_eval.studies.thesis_fusion", "Chapters 5 and 6: fusion of the redundant sensors, and with other navigation"),
+        ),
+    )
+}
+_SEEDS, _QUICK_SEEDS = 50, 5
+
+
+def reproduce(
+    name: str,
+    seeds: int | None = None,
+    quick: bool = False,
+    out: str | Path | None = None,
+    progress: Report | None = None,
+    processes: int | None = None,
+) -> list[Row]:
+    """Run the studies of a name.
+
+    Parameters
+    ----------
+    name : key of STUDIES
+    seeds : of everything random; None: 50, with `quick` 5
+    quick : fewer epochs and methods where a study knows which can be spared
+    out : directory for index.html, rows.json and NAME.png of each figure, made if needed; None: nothing is written
+    progress : called with (part done, 1.0)
+    processes : chapters that run at a time; None: two where two cores are there
+
+    Returns
+    -------
+    rows in the order of the chapters
+
+    Raises
+    ------
+    StudyError
+        Unknown name (the nearest is named), no seed.
+    """
+    if name not in STUDIES:
+        raise StudyError(f"unknown study {name!r}{nearest(name, STUDIES)}; known: {', '.join(STUDIES)}")
+    seeds = seeds if seeds is not None else _QUICK_SEEDS if quick else _SEEDS
+    if seeds < 1:
+        raise StudyError(f"a study needs at least one seed, not {seeds}")
+    reproduction = STUDIES[name]
+    processes = min(2, len(os.sched_getaffinity(0))) if processes is None else processes
+    run = _run_here if min(processes, len(reproduction.chapters)) < 2 else _run_apart
+    parts = run(reproduction.chapters, seeds, quick, progress or (lambda done, total: None), processes)
+    if out is not None:
+        from .reproduce_page import page
+
+        directory = Path(out)
+        directory.mkdir(parents=True, exist_ok=True)
+        for figure in (f for part in parts for f in part.figures):
+            (directory / f"{figure.name}.png").write_bytes(figure.png)
+        rows = [r for part in parts for r in part.rows]
+        (directory / "rows.json").write_text(json.dumps(as_json(rows), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        (directory / "index.html").write_text(page(name, reproduction, parts, seeds, quick), encoding="utf-8")
+    return [r for part in parts for r in part.rows]
+
+
+def missed(rows: Iterable[Row]) -> list[Row]:
+    """The rows with a target that do not reach it."""
+    return [r for r in rows if r.target is not None and r.ok is False]
+
+
+def as_json(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Rows as documented in docs/json.md; what is not finite becomes null."""
+    return [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in dataclasses.asdict(r).items()} for r in rows]
+
+
+def _run_here(chapters: Sequence[Chapter], seeds: int, quick: bool, progress: Report, _: int) -> list[Part]:
+    total, before, parts = sum(c.weight for c in chapters), 0.0, []
+
+    def within(chapter: Chapter, start: float) -> Callable[[float], None]:
+        return lambda part: progress((start + chapter.weight * part) / total, 1.0)
+
+    for chapter in chapters:
+        parts.append(_one(chapter, seeds, quick, within(chapter, before)))
+        before += chapter.weight
+    return parts
+
+
+def _run_apart(chapters: Sequence[Chapter], seeds: int, quick: bool, progress: Report, processes: int) -> list[Part]:
+    """The longest chapters first, `processes` at a time; what they have done comes back through shared memory."""
+    context = multiprocessing.get_context("spawn")  # a fork would copy the locks of whatever threads there are
+    shared = context.Array("d", len(chapters) + 1, lock=False)  # the last one tells the others to stop
+    total = sum(c.weight for c in chapters)
+    with concurrent.futures.ProcessPoolExecutor(processes, context, _begin, (shared, os.getpid())) as pool:
+        order = sorted(range(len(chapters)), key=lambda i: -chapters[i].weight)
+        tasks = {i: pool.submit(_apart, i, chapters[i], seeds, quick) for i in order}
+        waiting = set(tasks.values())
+        try:
+            while waiting:
+                finished, waiting = concurrent.futures.wait(waiting, 0.2, concurrent.futures.FIRST_COMPLETED)
+                for task in finished:
+                    task.result()  # a failure ends the others too
+                progress(sum(c.weight * shared[i] for i, c in enumerate(chapters)) / total, 1.0)
+        finally:
+            shared[-1] = 1.0
+            pool.shutdown(wait=False, cancel_futures=True)
+        return [tasks[i].result() for i in range(len(chapters))]
+
+
+class _Stopped(Exception):
+    """Another chapter failed, or the user has had enough."""
+
+
+_shared: Any = None
+_parent = 0
+
+
+def _begin(shared: Any, parent: int) -> None:
+    global _shared, _parent
+    _shared, _parent = shared, parent
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent gets it and tells
+
+
+def _apart(index: int, chapter: Chapter, seeds: int, quick: bool) -> Part:
+    def progress(part: float) -> None:
+        if os.getppid() != _parent:
+            os._exit(1)  # nobody waits for this any more
+        if _shared[-1]:
+            raise _Stopped
+        _shared[index] = part
+
+    return _one(chapter, seeds, quick, progress)
+
+
+def _one(chapter: Chapter, seeds: int, quick: bool, progress: Callable[[float], None]) -> Part:
+    from .reproduce_page import draw
+
+    rows, figures = importlib.import_module(chapter.module).run(seeds, quick, progress)
+    drawn = tuple(Drawn(f.name, f.title, draw(f)) for f in figures)
+    progress(1.0)
+    return Part(chapter, tuple(rows), drawn)
