@@ -136,3 +136,21 @@ def test_plain_subscriber_without_our_profile_hears_the_graph(toys):
         heard = other.poll()
         other.kill()
     assert heard == 0
+
+
+def test_a_domain_in_use_is_refused(toys):
+    import rclpy
+
+    from riins_msgs.msg import RedundantImu
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    other = rclpy.create_node("other", context=context)
+    other.create_publisher(RedundantImu, "rimu/raw", 1)
+    try:
+        summary = run_live(graph(), console=Console(file=io.StringIO()), directory=toys / "logs")
+    finally:
+        other.destroy_node()
+        context.try_shutdown()
+    assert summary["status"] == 1
+    assert "/rimu/raw is already published in ROS domain" in summary["ended"] and "set ROS_DOMAIN_ID" in summary["ended"]
