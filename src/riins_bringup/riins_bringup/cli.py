@@ -234,8 +234,9 @@ def reproduce(
     missed = study.missed(rows)
     for row in missed:
         _console().print(
-            f"target {row.target} missed: {row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g})", style="red", markup=False, highlight=False
-        )
+            f"target {row.target} missed: {row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g})",
+            style="red", markup=False, highlight=False, soft_wrap=True,
+        )  # fmt: skip
     aimed = sum(row.target is not None and row.ok is not None for row in rows)
     _console().print(
         f"{aimed - len(missed)} of {aimed} rows reach their target; page: {directory / 'index.html'}", markup=False, highlight=False, soft_wrap=True

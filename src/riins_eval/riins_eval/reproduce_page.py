@@ -29,6 +29,7 @@ td.number, th.number { text-align: right; white-space: nowrap; padding-left: 6px
 td.mark { text-align: center; font-weight: 700 } .yes { color: var(--good) } tr.missed td { background: #fef2f2 }
 img { display: block; width: 100%; height: auto; margin-top: 8px } h2.chapter { margin: 28px 0 10px; font-size: 22px }
 """
+_FIGURES = {"axes.titlesize": 10, "legend.frameon": True, "legend.framealpha": 0.85, "legend.edgecolor": "white"}
 _READING = (
     "Target: number of a demand on this implementation, where there is one. Thesis: the value printed there. Ours: mean over the seeds, or the one "
     "value, with the 5th and 95th percentile; n: how many. ✓ reaches what is demanded, ✗ does not, · nothing is demanded. The sentence under a name "
@@ -41,7 +42,7 @@ _MARKS = {True: "<span class=yes title='reaches what is demanded'>✓</span>", F
 
 def draw(figure: Figure) -> bytes:
     """One figure of a study as PNG."""
-    with matplotlib.rc_context(PNG_STYLE | {"axes.titlesize": 10}):  # type: ignore[arg-type,unused-ignore]
+    with matplotlib.rc_context(PNG_STYLE | _FIGURES):  # type: ignore[arg-type,unused-ignore]
         canvas = Canvas(figsize=(11.0, 6.2), dpi=100, layout="constrained")
         FigureCanvasAgg(canvas)
         figure.draw(canvas)
@@ -110,7 +111,7 @@ def number(value: str | float | None) -> str:
         return _text(value)
     if not math.isfinite(value):
         return "∞" if value == math.inf else "-"
-    if value == 0 or 1e-3 <= abs(value) < 1e5:
+    if value == 0 or 1e-4 <= abs(value) < 1e5:
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
     return f"{value:.1e}"
 

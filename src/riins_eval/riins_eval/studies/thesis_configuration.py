@@ -172,7 +172,7 @@ def _draw_directions(canvas: Any) -> None:
                 if np.all(np.isfinite(sigma)):
                     ax.plot(turn, sigma, label=f"{isolated} isolated")
             ax.set_title(f"{name}, {plane}")
-            ax.set_rmax(3.2)  # one scale for all
-            ax.set_rticks([1.0, 2.0, 3.0])
+            ax.set_rmax(4.4)  # one scale for all
+            ax.set_rticks([1.0, 2.0, 3.0, 4.0])
             ax.tick_params(labelsize=6)
-    axes[0, 0].legend(fontsize=6, loc="lower left")
+    canvas.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)

@@ -24,6 +24,8 @@ Curve = tuple[str, Array, Array, Array]
 _SEED = 0
 _GOOD = (0b111010, 0b101110)
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+_WIDTHS = (4.0, 2.2, 1.0)
+"""The first curve is the widest: those that coincide stay visible."""
 
 
 def figures() -> list[Figure]:
@@ -89,8 +91,8 @@ def _pair(name: str, title: str, curves: list[Curve]) -> list[Figure]:
         grid = canvas.subplots(2, 2)
         t = flight().t[::10]
         for axis, (axes, what) in enumerate(zip(grid.flat, ("north", "east", "down"), strict=False)):
-            for color, (label, error) in zip(_COLORS, errors, strict=False):
-                axes.plot(t, error[:, axis], color=color, label=label)
+            for color, width, (label, error) in zip(_COLORS, _WIDTHS, errors, strict=False):
+                axes.plot(t, error[:, axis], color=color, linewidth=width, label=label)
             axes.set_xlabel("time [s]")
             axes.set_ylabel(f"{what} error [m]")
         grid[0, 0].legend()
@@ -111,9 +113,9 @@ def _way() -> Array:
 
 def _plan(axes: Any, errors: list[tuple[str, Array]]) -> None:
     way = _way()[::10]
-    axes.plot(way[:, 1] / 1e3, way[:, 0] / 1e3, color="#1f2937", linewidth=2.5, alpha=0.35, label="true")
-    for color, (label, error) in zip(_COLORS, errors, strict=False):
-        axes.plot((way[:, 1] + error[:, 1]) / 1e3, (way[:, 0] + error[:, 0]) / 1e3, color=color, linewidth=1.0, label=label)
+    axes.plot(way[:, 1] / 1e3, way[:, 0] / 1e3, color="#1f2937", linewidth=6.0, alpha=0.35, label="true")
+    for color, width, (label, error) in zip(_COLORS, _WIDTHS, errors, strict=False):
+        axes.plot((way[:, 1] + error[:, 1]) / 1e3, (way[:, 0] + error[:, 0]) / 1e3, color=color, linewidth=width, label=label)
     axes.set_xlabel("east [km]")
     axes.set_ylabel("north [km]")
 
