@@ -192,7 +192,9 @@ def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
     def configuration_at(start: int) -> str:
         return configure.configuration_text(scenario, start, fusion, navigator)
 
-    nodes = _consumers(settings, fusion, navigator, configuration_at(start_at_ns))
+    start = scenario.start  # the origin of the truth too, so that the two odometries can be compared
+    datum = {"datum": [start.latitude_deg, start.longitude_deg, start.height_m]}
+    nodes = _consumers(settings, fusion, navigator, configuration_at(start_at_ns), datum)
     # every sensor reads the very text that is recorded, so nobody can edit the scenario between two starts
     common = {"start_at_ns": start_at_ns, "rate": settings.rate, "seed": -1}
     text = scenario.to_yaml()
@@ -256,7 +258,9 @@ def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
     return sources
 
 
-def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configuration: str) -> list[NodeSpec]:
+def _consumers(
+    settings: GraphSettings, fusion: Any, navigator: Any, configuration: str, datum: Mapping[str, Any] | None = None
+) -> list[NodeSpec]:
     aids = ("gps/fix", "bds/fix", "doppler/velocity")
     nodes = [
         _spec(
@@ -273,7 +277,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "riins_federated",
             "navigator",
             "consumer",
-            flatten(as_mapping(navigator)),
+            {**flatten(as_mapping(navigator)), **(datum or {})},
             subscribes=("imu/fused", "nav/initial_state", *aids),
             publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters"),
         ),

@@ -39,12 +39,14 @@ enu_to_ned = ned_to_enu
 
 def frd_to_flu_covariance(P: ArrayLike) -> Array:
     """Covariances (..., 3, 3) from FRD to FLU, or back."""
-    return np.asarray(FLU_FROM_FRD @ np.asarray(P, dtype=np.float64) @ FLU_FROM_FRD) + 0.0
+    signs = np.array([1.0, -1.0, -1.0])  # not a product of matrices: a NaN of what was not measured must not spread
+    return np.asarray(np.asarray(P, dtype=np.float64) * np.outer(signs, signs)) + 0.0
 
 
 def ned_to_enu_covariance(P: ArrayLike) -> Array:
     """Covariances (..., 3, 3) from NED to ENU, or back."""
-    return np.asarray(ENU_FROM_NED @ np.asarray(P, dtype=np.float64) @ ENU_FROM_NED) + 0.0
+    order, signs = [1, 0, 2], np.array([1.0, 1.0, -1.0])
+    return np.asarray(np.asarray(P, dtype=np.float64)[..., order, :][..., order] * np.outer(signs, signs)) + 0.0
 
 
 flu_to_frd_covariance = frd_to_flu_covariance

@@ -130,3 +130,10 @@ def test_ned_difference_agrees_with_the_tangent_plane_and_the_seam():
     enu = frames.LocalFrame(lat, lon, h).to_enu(*other)
     np.testing.assert_allclose(frames.ned_to_enu(frames.ned_difference(*other, lat, lon, h)), enu, atol=1e-4)
     assert frames.ned_difference(np.zeros(4), 0.0, 0.0, 0.0, 0.0, np.zeros(4)).shape == (4, 3)
+
+
+def test_a_nan_of_an_unmeasured_axis_does_not_spread() -> None:
+    P = np.diag([4.0, 9.0, np.nan])
+    P[0, 1] = P[1, 0] = 1.0
+    assert frames.enu_to_ned_covariance(P)[:2, :2] == pytest.approx(np.array([[9.0, 1.0], [1.0, 4.0]]))
+    assert frames.flu_to_frd_covariance(P)[:2, :2] == pytest.approx(np.array([[4.0, -1.0], [-1.0, 9.0]]))

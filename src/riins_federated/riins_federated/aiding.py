@@ -156,4 +156,4 @@ def reported_covariance_ok(R: Array, rows: slice) -> bool:
     if not R.any():
         return True
     part = R[rows, rows]
-    return bool(np.allclose(part, part.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(part).min() > 0.0)
+    return bool(np.allclose(part, part.T, rtol=1e-9, atol=1e-9 * float(np.abs(part).max())) and np.linalg.eigvalsh(part).min() > 0.0)

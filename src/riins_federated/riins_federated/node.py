@@ -160,7 +160,7 @@ class NavigatorNode(AutostartLifecycleNode):
             self._publish("imu/data", fields.imu(solution, rate_covariance, force_covariance))
             self._sequence += 1
         if self._odometry_grid.due(solution.stamp_ns):
-            self._publish("nav/odometry", fields.odometry(solution, self._frame))
+            self._publish("nav/odometry", fields.odometry(solution, self._frame, rate_covariance))
             self._publish("nav/fix", fields.nav_fix(solution))
 
     def _publish_settled(self) -> None:

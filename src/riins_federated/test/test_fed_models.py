@@ -121,6 +121,7 @@ def test_reported_covariance() -> None:
     assert reported_covariance_ok(np.zeros((3, 3)), rows)
     assert reported_covariance_ok(np.diag([1.0, 1.0, np.nan]), rows)
     assert not reported_covariance_ok(np.diag([1.0, np.nan, 1.0]), rows)
+    assert reported_covariance_ok(np.array([[1.0, 1e-17, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), rows)
     assert not reported_covariance_ok(np.diag([1.0, -1.0, 1.0]), rows)
     assert not reported_covariance_ok(np.array([[1.0, 0.5, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 1.0]]), rows)
     assert noise(np.zeros((3, 3)), np.array([1.0, 2.0, 3.0]), 0.0) == pytest.approx(np.diag([1.0, 4.0, 9.0]))

@@ -131,17 +131,17 @@ def imu(solution: Any, rate_covariance: ArrayLike | None = None, force_covarianc
     Parameters
     ----------
     solution : riins_federated NavSolution
-    rate_covariance, force_covariance : (3, 3), FRD, of one sample; None: unknown (zeros)
+    rate_covariance, force_covariance : (3, 3), FRD, of one sample's noise, to which that of the bias is added; None: unknown (zeros)
     """
-    zeros = np.zeros((3, 3))
+    zeros, P = np.zeros((3, 3)), np.asarray(solution.P)
     return {
         "header": header(solution.stamp_ns, BASE),
         "orientation": quaternion(frames.attitude_to_enu(solution.C_nb)),
         "orientation_covariance": _flat(frames.ned_to_enu_covariance(solution.P[PHI, PHI])),
         "angular_velocity": vector(frames.frd_to_flu(solution.rate_b)),
-        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(zeros if rate_covariance is None else rate_covariance)),
+        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(zeros if rate_covariance is None else rate_covariance + P[BG, BG])),
         "linear_acceleration": vector(frames.frd_to_flu(solution.force_b)),
-        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(zeros if force_covariance is None else force_covariance)),
+        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(zeros if force_covariance is None else force_covariance + P[BA, BA])),
     }
 
 
@@ -190,8 +190,14 @@ def nav_covariance(solution: Any, labels: Sequence[str]) -> Fields:
     return {"header": header(int(solution.stamp_ns), MAP_NED), "labels": list(labels), "covariance": _flat(solution.P)}
 
 
-def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
+def odometry(solution: Any, local_frame: frames.LocalFrame, rate_covariance: ArrayLike | None = None) -> Fields:
     """nav_msgs/Odometry: `base_link` (FLU) in `map`, the ENU plane that touches the ellipsoid at the datum; twist in `base_link`.
+
+    Parameters
+    ----------
+    solution : riins_federated NavSolution
+    local_frame : at the datum
+    rate_covariance : (3, 3), FRD, of one sample's noise; None: that of the gyro bias alone is given
 
     Notes
     -----
@@ -207,7 +213,7 @@ def odometry(solution: Any, local_frame: frames.LocalFrame) -> Fields:
     to_body = np.hstack([C_bn, -C_bn @ skew(v_n)])
     twist_covariance = np.zeros((6, 6))
     twist_covariance[:3, :3] = frames.frd_to_flu_covariance(to_body @ P[3:9, 3:9] @ to_body.T)
-    twist_covariance[3:, 3:] = frames.frd_to_flu_covariance(P[BG, BG])
+    twist_covariance[3:, 3:] = frames.frd_to_flu_covariance(P[BG, BG] + (0.0 if rate_covariance is None else np.asarray(rate_covariance)))
     return {
         "header": header(int(solution.stamp_ns), MAP),
         "child_frame_id": BASE,

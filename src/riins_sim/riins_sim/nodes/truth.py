@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from nav_msgs.msg import Odometry
 
 from riins_core.frames import LocalFrame
@@ -41,8 +42,8 @@ class TruthNode(SimNode):
         self._imu = RedundantImuSim(self.scenario)
         self._trajectory = self._imu.trajectory
         drawn = initial_state(self.scenario, self._trajectory)
-        start = self._trajectory.truth(0.0)
-        self._frame = LocalFrame(float(start.lat[0]), float(start.lon[0]), float(start.h[0]))
+        start = self.scenario.start
+        self._frame = LocalFrame(np.radians(start.latitude_deg), np.radians(start.longitude_deg), start.height_m)
         overridable = qos.overridable()
         self._state = self.create_publisher(NavState, "truth/state", qos.navigation(), qos_overriding_options=overridable)
         self._odometry = self.create_publisher(Odometry, "truth/odometry", qos.navigation(), qos_overriding_options=overridable)
