@@ -97,7 +97,9 @@ def test_stubborn_node_is_killed_and_reported(toys, tmp_path, monkeypatch):
 def test_killed_launcher_leaves_no_node_behind(toys, tmp_path):
     code = (
         "from riins_bringup.processes import Processes; from riins_bringup.graph import NodeSpec; import time\n"
-        f"p = Processes({str(tmp_path / 'run')!r}); p.start(NodeSpec('toys', 'good', 'x')); print(p.pid('x'), flush=True); time.sleep(60)"
+        f"p = Processes({str(tmp_path / 'run')!r}); p.start(NodeSpec('toys', 'good', 'x'))\n"
+        "while p.tail('x') != ['up']: time.sleep(0.05)\n"  # it is tied to its parent by then
+        "print(p.pid('x'), flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", code], env=toys, stdout=subprocess.PIPE, text=True) as launcher:
         pid = int(launcher.stdout.readline())
@@ -116,6 +118,6 @@ def test_killed_launcher_leaves_no_node_behind(toys, tmp_path):
 def test_environment_keeps_what_the_user_chose(tmp_path):
     environment = node_environment(tmp_path, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"})
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET" and "FASTRTPS_DEFAULT_PROFILES_FILE" not in environment
-    environment = node_environment(tmp_path, {})
+    environment = node_environment(tmp_path, {"AMENT_PREFIX_PATH": os.environ["AMENT_PREFIX_PATH"]})
     assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert environment["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("config/fastdds_loopback.xml")
