@@ -15,12 +15,15 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
+from riins_bringup.targets import new_directory, writable_file
+
 OK, BAD_RESULT, BAD_USE = 0, 1, 2
 
 # by name: importing the classes would import what raises them
 _USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "StudyError", "FileNotFoundError",
                 "FileExistsError", "IsADirectoryError", "NotADirectoryError", "PermissionError"}  # fmt: skip
 _FAILURES = {"GraphError"}
+_INTERRUPTED = 130  # what typer returns for a KeyboardInterrupt, which it keeps to itself
 
 app = typer.Typer(
     name="riins",
@@ -46,7 +49,9 @@ class Record(enum.StrEnum):
 
 ScenarioArgument = Annotated[str, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")]
 BagArgument = Annotated[Path, typer.Argument(help="bag directory", metavar="BAG")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="write the figures to this file, as documented in docs/json.md", metavar="FILE")]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="write the figures to this file, as documented in docs/json.md", metavar="FILE", callback=writable_file)
+]
 TwinsOption = Annotated[
     bool | None, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too (default: where it is cheap)")
 ]
@@ -57,7 +62,7 @@ def geometry(
     file: Annotated[
         Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row (blanks or commas, # comments)", metavar="[FILE]")
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the figures to this file", metavar="FILE")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the figures to this file", metavar="FILE", callback=writable_file)] = None,
 ) -> int:
     """Figures of merit of sensor geometries: the thesis' tables 2.1 to 2.3, or those of your own n x 3 file.
 
@@ -151,7 +156,9 @@ def up(
     scenario: Annotated[str | None, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")] = None,
     bag: Annotated[Path | None, typer.Option("--bag", help="replay the raw topics of this bag instead of simulating", metavar="BAG")] = None,
     rate: Annotated[float, typer.Option(help="speed in times real time")] = 1.0,
-    record: Annotated[Path | None, typer.Option("--record", help="record every topic to this bag directory", metavar="DIR")] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", help="record every topic to this bag directory", metavar="DIR", callback=new_directory)
+    ] = None,
     duration: Annotated[float, typer.Option(help="stop after this much measurement time [s] (0: all of it)")] = 0.0,
     seed: Annotated[int, typer.Option(help="seed of all noise (-1: the scenario's)")] = -1,
     namespace: Annotated[str, typer.Option(help="namespace of all nodes and topics")] = "",
@@ -160,7 +167,7 @@ def up(
         Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")
     ] = None,
     network: Annotated[bool, typer.Option("--network", help="let other machines on the subnet see the topics")] = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the summary to this file", metavar="FILE")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the summary to this file", metavar="FILE", callback=writable_file)] = None,
 ) -> int:
     """Start the graph as live ROS 2 nodes, watch it in a table, and stop it at the end or on Ctrl-C.
 
@@ -175,8 +182,6 @@ def up(
     values: dict[str, Any] = {"rate": rate, "duration_s": duration, "seed": seed, "namespace": namespace, "log_level": log_level}
     values |= {"bag": str(bag)} if bag is not None else {"scenario": scenario}
     values |= {"record": str(record)} if record is not None else {}
-    if record is not None and record.exists():
-        raise FileExistsError(f"{record} exists already; choose another name for the bag or remove it")
     graph = build_graph(build(GraphSettings, values))
     choose_network(network)
     from riins_bringup.live import run_live
@@ -219,7 +224,7 @@ def reproduce(
     seeds: Annotated[int | None, typer.Option(help="seeds of everything random (default: 50, with --quick 5)", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="write the rows to this file, as documented in docs/json.md", metavar="FILE")
+        Path | None, typer.Option("--json", help="write the rows to this file, as documented in docs/json.md", metavar="FILE", callback=writable_file)
     ] = None,
 ) -> int:
     """Run the experiments of a paper anew and write one page: its numbers beside ours, with spread and figures.
@@ -260,7 +265,10 @@ def demo(
 
 
 @bag_app.command(name="info")
-def bag_info(bag: BagArgument, json_file: Annotated[Path | None, typer.Option("--json", help="write it to this file", metavar="FILE")] = None) -> int:
+def bag_info(
+    bag: BagArgument,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write it to this file", metavar="FILE", callback=writable_file)] = None,
+) -> int:
     """Topics, counts, rates and lost samples of a bag.
 
     Example: [bold]riins bag info out/harbour[/bold]
@@ -304,8 +312,11 @@ def bag_play(
 
     Example: [bold]riins bag play out/harbour --rate 2 --start 30[/bold], beside [bold]ros2 run riins_imu_fusion imu_fusion[/bold]
     """
+    from riins_bringup.graph import GraphSettings
     from riins_bringup.play import play
+    from riins_core.settings import build
 
+    build(GraphSettings, {"namespace": namespace})
     return play(bag, rate=rate, start=start, loop=loop, all_topics=all_topics, namespace=namespace)
 
 
@@ -338,6 +349,9 @@ def main(arguments: list[str] | None = None) -> int:
             _complain(_message(error))
             return BAD_USE if names & _USER_ERRORS else BAD_RESULT
         raise
+    if status == _INTERRUPTED:
+        _complain("interrupted")
+        return BAD_RESULT
     return status if isinstance(status, int) else OK
 
 
@@ -363,12 +377,16 @@ def _judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | Non
     from riins_eval.score import verdict
 
     failures = verdict(result, expect)
+    unscored = "" if result["epochs"] else "no epoch could be scored: no reference (/truth/state) at the navigator's epochs in the time that counts"
     console = _console()
     console.print(score_table(result))
     if result["faults"]:
         console.print(fault_table(result))
     for line in failures:
         console.print(f"not as expected: {line}", style="bold red", markup=False, highlight=False)
+    if unscored:
+        console.print(unscored, style="bold red", markup=False, highlight=False, soft_wrap=True)
+        failures = [unscored, *failures]
     if expect and not failures:
         console.print("as the scenario expects", style="green")
     for note in result["notes"]:
@@ -385,7 +403,7 @@ def _read_mapping(path: Path | None) -> dict[str, Any]:
 
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise typer.BadParameter(f"{path}: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise typer.BadParameter(f"{path}: a mapping of sections is needed")

@@ -7,6 +7,7 @@ Does not live here: starting processes (processes.py), watching them (live.py), 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,7 @@ from riins_core.settings import SettingError, as_mapping, build, field_types, fl
 CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
 IMU_TOPIC = "/rimu/raw"
+_NAMESPACE = re.compile(r"/?(?:[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*/?)?")
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,13 @@ class GraphSettings:
     seed: int = setting(-1, "seed of all noise; -1: the scenario's own", low=-1)
     duration_s: float = setting(0.0, "stop after this much measurement time; 0: the whole scenario or bag", "s", low=0.0)
     start_delay_s: float = setting(10.0, "wall time from launching to the first sample, for processes to start and to find each other", "s", low=0.0)
+
+    def __post_init__(self) -> None:
+        if not _NAMESPACE.fullmatch(self.namespace):
+            raise SettingError(
+                f'"namespace" must be words of letters, digits and _ with / between them, none beginning with a digit, not {self.namespace!r}',
+                ("namespace",),
+            )
 
 
 @dataclass(frozen=True)
@@ -258,9 +267,7 @@ def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
     return sources
 
 
-def _consumers(
-    settings: GraphSettings, fusion: Any, navigator: Any, configuration: str, datum: Mapping[str, Any] | None = None
-) -> list[NodeSpec]:
+def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configuration: str, datum: Mapping[str, Any] | None = None) -> list[NodeSpec]:
     aids = ("gps/fix", "bds/fix", "doppler/velocity")
     nodes = [
         _spec(

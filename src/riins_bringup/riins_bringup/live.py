@@ -25,7 +25,7 @@ from rich.live import Live
 from riins_bringup.graph import Graph, NodeSpec, write_files
 from riins_bringup.monitor import Monitor
 from riins_bringup.processes import Exit, GraphError, Processes
-from riins_bringup.table import change_line, live_table, plain_line, summary_table
+from riins_bringup.table import change_line, live_table, not_comparable, plain_line, summary_table
 from riins_bringup.watch import Watcher
 
 DISCOVERY_S = 1.0
@@ -272,7 +272,10 @@ def run_live(graph: Graph, *, console: Console, directory: Path | None = None, r
     if outcome.dead is not None:
         console.print(describe(outcome.dead), style="bold red", markup=False, highlight=False, soft_wrap=True)
     console.print(summary_table(summary))
+    if graph.wall_stamps and (warning := not_comparable(summary["samples"])):
+        console.print(warning, style="bold red", markup=False, highlight=False, soft_wrap=True)
     if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(summary, indent=2) + "\n")
     return summary
 

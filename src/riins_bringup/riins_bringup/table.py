@@ -143,6 +143,12 @@ def summary_table(summary: dict[str, Any]) -> Table:
     return table
 
 
+def not_comparable(samples: dict[str, int]) -> str:
+    """One line when a simulated run lost samples or restarted, so that its errors are not those of the scenario; else empty."""
+    lost, restarts = int(_lost(samples)), samples.get("restarts", 0)
+    return f"not comparable: {lost} samples lost, {restarts} restarts" if lost or restarts else ""
+
+
 def _lost(samples: dict[str, int]) -> str:
     # the navigator sees the sequence numbers of the source: what the fusion lost is a gap there too
     return str(max(samples.get("lost", 0), samples.get("navigator_lost", 0)))

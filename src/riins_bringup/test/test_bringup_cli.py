@@ -46,6 +46,11 @@ def test_help_imports_nothing_heavy():
         (["bag", "info", "/no/such/bag"], "/no/such/bag"),
         (["geometry", "/no/such/file"], "/no/such/file"),
         (["sail", "harbour", "--record", "nav"], "--out"),
+        (["up", "harbour", "--namespace", "a b"], "'a b'"),
+        (["bag", "play", "x", "--namespace", "1st"], "'1st'"),
+        (["up", "harbour", "--record", "/proc/no/bag"], "cannot write /proc/no/bag"),
+        (["up", "harbour", "--json", "/proc/no/file"], "cannot write /proc/no/file"),
+        (["sail", "harbour", "--json", "."], "cannot write ."),
         (["reproduce", "thesiss"], '"thesis"'),
         (["reproduce", "thesis", "--seeds", "0"], "--seeds"),
     ],
@@ -54,6 +59,49 @@ def test_bad_use_is_one_line_and_status_2(words, message, capsys):
     assert main(words) == 2
     error = capsys.readouterr().err
     assert error.startswith("riins: error: ") and error.count("\n") == 1 and message in error
+
+
+def test_options_that_are_no_text_are_bad_use(tmp_path, capsys):
+    path = tmp_path / "binary.png"
+    path.write_bytes(b"\x89PNG\r\n")
+    assert main(["import", "x.npz", "--out", str(tmp_path / "bag"), "--options", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "binary.png" in error
+
+
+def test_trying_a_target_leaves_nothing_and_takes_nothing(tmp_path, capsys):
+    old = tmp_path / "old.json"
+    old.write_text("kept")
+    words = ["up", "harbor", "--record", str(tmp_path / "a/b/bag"), "--json"]
+    assert main([*words, str(tmp_path / "c/figures.json")]) == main([*words, str(old)]) == 2
+    assert "harbour" in capsys.readouterr().err  # past the targets, to the scenario
+    assert [p.name for p in tmp_path.iterdir()] == ["old.json"] and old.read_text() == "kept"
+
+
+def test_an_interrupted_verb_says_so_and_leaves_no_bag(tmp_path, monkeypatch, capsys):
+    from riins_eval import offline
+
+    def interrupted(voyage, writer, progress):
+        writer.configuration("name: half", 1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(offline._Voyage, "run", interrupted)
+    assert main(["sail", "harbour", "--out", str(tmp_path / "bag")]) == 1
+    assert capsys.readouterr().err == "riins: error: interrupted\n" and not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(("epochs", "status"), [(0, 1), (1, 0)])
+def test_a_run_of_which_nothing_was_scored_is_a_bad_result(tmp_path, monkeypatch, capsys, epochs, status):
+    from riins_bringup import printing
+    from riins_eval import offline
+
+    result = types.SimpleNamespace(score={"epochs": epochs, "faults": [], "notes": []}, expect={})
+    monkeypatch.setattr(offline, "navigate", lambda *_, **__: result)
+    monkeypatch.setattr(printing, "score_table", lambda _: "")
+    figures = tmp_path / "figures.json"
+    assert main(["navigate", "bag", "--out", str(tmp_path / "again"), "--json", str(figures)]) == status
+    assert ("no epoch could be scored" in capsys.readouterr().out) == (status == 1)
+    assert json.loads(figures.read_text())["verdict"]["passed"] == (status == 0)
 
 
 def test_scenario_with_a_typo_names_line_and_cure(tmp_path, capsys):

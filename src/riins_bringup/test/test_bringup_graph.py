@@ -50,9 +50,16 @@ def test_words_become_settings_or_one_error():
         ({"rte": "1"}, 'did you mean "rate"'),
         ({"rate": "0"}, "0.01"),
         ({"log_level": "loud"}, "one of"),
+        ({"namespace": "a b"}, "namespace"),
+        ({"namespace": "fleet//ship"}, "namespace"),
     ):
         with pytest.raises(SettingError, match=message):
             settings_from_words(words)
+
+
+@pytest.mark.parametrize("name", ["", "/", "ship1", "/fleet/ship_1/"])
+def test_namespaces_of_ros_are_taken(name):
+    assert settings_from_words({"namespace": name}).namespace == name
 
 
 def test_every_setting_has_a_description():

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from riins_bringup.monitor import Monitor, NavRow
-from riins_bringup.table import angle, change_line, live_table, plain_line, summary_table
+from riins_bringup.table import angle, change_line, live_table, not_comparable, plain_line, summary_table
 
 START = 1_800_000_000_000_000_000
 STEP = 10_000_000
@@ -120,6 +120,19 @@ def test_table_and_plain_line_show_the_figures(fed):
 def test_everything_prints_before_the_first_message():
     snapshot = Monitor(START).snapshot(START)
     assert "waiting" in printed(live_table("harbour", snapshot, 150.0)) and "waiting" in plain_line(snapshot)
+
+
+@pytest.mark.parametrize(
+    ("samples", "line"),
+    [
+        ({"lost": 0, "restarts": 0}, ""),
+        ({}, ""),
+        ({"lost": 2, "navigator_lost": 3, "restarts": 0}, "not comparable: 3 samples lost, 0 restarts"),
+        ({"lost": 0, "restarts": 1}, "not comparable: 0 samples lost, 1 restarts"),
+    ],
+)
+def test_lost_samples_and_restarts_are_said(samples, line):
+    assert not_comparable(samples) == line
 
 
 def test_summary_prints(fed):
