@@ -6,6 +6,7 @@ Does not live here: bag files (riins_bag), what a message holds (riins_node.fiel
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -38,7 +39,7 @@ RAW_IMU, TWIN_TOPIC, ORACLE_TOPIC = "/rimu/raw", "/evaluation/twin", "/evaluatio
 
 
 class RunWriter:
-    """Writes one run.
+    """Writes one run; a context manager that removes the unfinished bag when an error or an interrupt ends it.
 
     Parameters
     ----------
@@ -66,6 +67,8 @@ class RunWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._bag.close()
+        if kind is not None:  # closed it would look like a finished run
+            shutil.rmtree(self._bag.path, ignore_errors=True)
 
     def configuration(self, text: str, stamp_ns: int) -> None:
         """Text of /riins/configuration; by habit the first message."""
