@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from riins_bag.bag import BagReader
 from riins_federated.error_filter import LABELS
 from riins_federated.navigator import Navigator
-from riins_federated.types import Aid, InitialState
+from riins_federated.types import Aid, InitialState, UseCommand
+from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.types import FusedBlock, join
 from riins_node import readings
 
@@ -36,8 +37,10 @@ AID_TOPICS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "/bds/fix": ("bds", readings.read_position_aid),
     "/doppler/velocity": ("doppler", readings.read_doppler),
 }
-INITIAL_TOPIC = "/nav/initial_state"
-RAW_TOPICS = (RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, "/truth/state", "/truth/odometry", "/truth/faults")
+INITIAL_TOPIC, COMMAND_TOPIC = "/nav/initial_state", "/nav/commands"
+RAW_TOPICS = (
+    RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, COMMAND_TOPIC, "/truth/state", "/truth/odometry", "/truth/faults",
+)  # fmt: skip
 
 
 class _Window(NamedTuple):
@@ -52,7 +55,7 @@ class _Window(NamedTuple):
     accel_valid: NDArray[np.uint64]
     gyros: NDArray[np.int64]
     accels: NDArray[np.int64]
-    others: list[tuple[int, Aid | InitialState]]
+    others: list[tuple[int, Aid | InitialState | UseCommand]]
 
 
 def navigate(
@@ -67,7 +70,7 @@ def navigate(
     Parameters
     ----------
     bag_in : bag with /rimu/raw, aids, /nav/initial_state and /riins/configuration
-    bag_out : directory to write; None: nothing is written. The aids, initial states, truth and faults are copied, so that it can be scored alone
+    bag_out : directory to write; None: nothing is written. Aids, initial states, commands, truth, faults are copied: it can be scored alone
     record : nav, raw (copies /rimu/raw too) or all, see recording.RECORDS
     progress : called with (recorded seconds done, seconds in all)
     overrides : settings that replace the recorded ones: {"navigator": {"gps": {"enabled": False}}}
@@ -117,6 +120,7 @@ class _Run:
         total = self.reader.duration_s
         for done_ns, window in self._windows():
             for part in _cut(window, self._max_delay):
+                self._obey(part)
                 fused = self._fuse(part)
                 self._feed(part, fused)
                 if writer is None:
@@ -136,16 +140,36 @@ class _Run:
     def _windows(self) -> Iterator[tuple[int, _Window]]:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
         others_from = [t for t in (*AID_TOPICS, INITIAL_TOPIC) if t in self.reader.topics]
+        has_commands = COMMAND_TOPIC in self.reader.topics
+        commands = [(log_ns, UseCommand(**readings.read_sensor_use(m))) for _, log_ns, m in self.reader.read([COMMAND_TOPIC])] if has_commands else []
         start = self.reader.start_ns
         while start <= self.reader.end_ns:
             stop = start + WINDOW_NS
             c = self.reader.columns(RAW_IMU, names, start, stop)
-            others = [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
+            others: list[tuple[int, Aid | InitialState | UseCommand]] = []
+            others += [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
+            # a recorder may hear of a command a little after the sample it holds from: those early in the next window are known in this one
+            told = sum(log_ns < stop + self._max_delay for log_ns, _ in commands)
+            others += commands[:told]
+            commands = commands[told:]
             yield stop, _Window(
                 c["log_time"], c["header.stamp"].astype(np.int64), c["sequence"].astype(np.uint32), c["gyro"], c["accel"],
                 c["gyro_valid"].astype(np.uint64), c["accel_valid"].astype(np.uint64), c["gyro.count"], c["accel.count"], others,
             )  # fmt: skip
             start = stop
+
+    def _obey(self, part: _Window) -> None:
+        """Commands before the samples: each waits for its own stamp."""
+        for _, item in part.others:
+            if not isinstance(item, UseCommand):
+                continue
+            if item.name.partition("_")[0] in KINDS:
+                result = self.pipeline.set_sensor_use(item.name, item.use, item.stamp_ns)
+                problem = "" if result.success else result.message
+            else:
+                problem = self.lane.navigator.set_use(item)
+            if problem:
+                self.notes.append(f"Command at {(item.stamp_ns - self.reader.start_ns) / 1e9:.1f} s refused: {problem}.")
 
     def _fuse(self, part: _Window) -> FusedBlock:
         """Fuse the samples; those with the wrong number of axes are rejected where they stand."""
@@ -179,6 +203,8 @@ class _Run:
         newest = np.maximum.accumulate(np.maximum(part.stamp_ns, self._newest)) if len(part.stamp_ns) else part.stamp_ns
         early: list[Aid] = []
         for log_ns, item in part.others:
+            if isinstance(item, UseCommand):
+                continue
             if isinstance(item, InitialState):
                 problem = self.lane.navigator.set_initial_state(item)
                 if problem:

@@ -7,11 +7,14 @@ import pytest
 
 from riins_bag.bag import BagReader, BagWriter, message, serialize
 from riins_core.settings import SettingError
-from riins_eval import bag_record, metrics, offline
+from riins_eval import bag_record, metrics, offline, renavigate
 from riins_eval.lane import size_text
+from riins_eval.renavigate import RAW_TOPICS
 from riins_eval.run_configuration import RecordError
 from riins_eval.run_record import Track
 from riins_eval.score import score, score_bag, verdict
+from riins_federated.types import Reason, UseCommand
+from riins_node import fields
 from riins_sim.faults import FaultSchedule
 from riins_sim.scenario import from_yaml
 
@@ -198,6 +201,63 @@ def test_order_of_arrival_does_not_matter(bag, tmp_path, run):
     again = offline.navigate(tmp_path / "late")
     assert equal(again.record.settled, run.record.settled)
     assert again.score["samples"]["late"] == 0
+
+
+def test_commands_of_the_bag_are_obeyed_at_their_stamp(bag, tmp_path, run, monkeypatch):
+    """Law 1: what the operator said live is in the bag with the stamp it held from, whenever the recorder heard of it."""
+
+    def at(seconds):
+        return int(run.record.origin_ns + round(seconds * 1e9))
+
+    commands = [("accel_1", False, 0), ("gps", False, at(40.0)), ("gyro_2", False, at(40.005)), ("gps", True, at(48.0)), ("gyro_2", True, at(50.0))]
+    # the recorder hears of the second and third 1 s after their stamps, in the window after the one in which they hold
+    heard = [at(0.0), at(41.0), at(41.2), at(48.2), at(45.0)]
+    monkeypatch.setattr(renavigate, "WINDOW_NS", 40_500_000_000)
+    with BagReader(bag) as reader, BagWriter(tmp_path / "told", flush_period_s=0.0) as writer:
+        for one in reader.messages((*RAW_TOPICS, "/riins/configuration")):
+            writer.write(one.topic, one.msgtype, one.data, one.log_ns)
+        for (target, use, stamp), log_ns in zip(commands, heard, strict=True):
+            writer.write_message("/nav/commands", "riins_msgs/msg/SensorUse", fields.sensor_use(stamp, target, use), log_ns)
+    told = offline.navigate(tmp_path / "told", tmp_path / "again", record="all")
+
+    first = renavigate._Run._obey
+
+    def directly(self, part):
+        if not hasattr(self, "given"):
+            self.given = True
+            for target, use, stamp in commands:
+                if target == "gps":
+                    assert self.lane.navigator.set_use(UseCommand(target, use, stamp)) == ""
+                else:
+                    assert self.pipeline.set_sensor_use(target, use, stamp).success
+        first(self, part)
+
+    monkeypatch.setattr(renavigate._Run, "_obey", directly)
+    direct = offline.navigate(bag)
+    assert equal(told.record.settled, direct.record.settled) and not equal(told.record.settled, run.record.settled)
+    assert np.array_equal(told.record.covariance, direct.record.covariance)
+    assert told.record.health == direct.record.health and not [n for n in told.record.notes if "refused" in n]
+    gps = told.record.judged["gps"]
+    refused = gps.reason == Reason.OPERATOR
+    assert (gps.stamp_ns[refused][0], refused.sum()) == (at(40.0), 8) and not gps.accepted[refused].any()
+    used = told.record.use
+    assert used.samples_with("gyro_2", at(39.995), at(40.005)) == 1 and used.samples_with("gyro_2", at(40.005), at(50.0)) == 0
+    assert used.samples_with("accel_1", at(0.0), at(61.0)) == 0
+    with BagReader(tmp_path / "again") as reader:
+        assert reader.topics["/nav/commands"].number == len(commands)
+    monkeypatch.undo()
+    assert equal(offline.navigate(tmp_path / "again").record.settled, direct.record.settled)
+
+
+def test_a_command_that_cannot_be_obeyed_is_noted(bag, tmp_path, run):
+    with BagReader(bag) as reader, BagWriter(tmp_path / "told", flush_period_s=0.0) as writer:
+        for one in reader.messages((*RAW_TOPICS, "/riins/configuration")):
+            writer.write(one.topic, one.msgtype, one.data, one.log_ns)
+        for target in ("sonar", "gyro_9"):
+            writer.write_message("/nav/commands", "riins_msgs/msg/SensorUse", fields.sensor_use(reader.start_ns, target, False), reader.start_ns)
+    told = offline.navigate(tmp_path / "told")
+    assert [n.split(": ")[1].split('"')[1] for n in told.record.notes if n.startswith("Command")] == ["sonar", "gyro_9"]
+    assert equal(told.record.settled, run.record.settled)
 
 
 def test_what_came_too_late_is_late_again(bag, tmp_path):

@@ -42,6 +42,7 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/origin": (NavSatFix, qos.latched),
     "nav/initial_state": (msg.InitialState, qos.latched),
     "nav/subfilters": (msg.FederatedStatus, qos.latched),
+    "nav/commands": (msg.SensorUse, partial(qos.latched, 100)),
     "imu/data": (Imu, qos.navigation),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
@@ -146,6 +147,8 @@ class NavigatorNode(AutostartLifecycleNode):
         stamp = convert.to_ns(request.effective) or self._navigator.status().stamp_ns + 1
         response.message = self._navigator.set_use(UseCommand(request.target, request.use, stamp))
         response.success = not response.message
+        if response.success:
+            self._publish("nav/commands", fields.sensor_use(stamp, request.target, request.use))  # so that a recording can be navigated again
         return response
 
     # ---- output ----

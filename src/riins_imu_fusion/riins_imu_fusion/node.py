@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,7 +22,7 @@ from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.reporting import diagnosis, inertial_fdi
 from riins_imu_fusion.types import FusedBlock
-from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu
+from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, SensorUse
 from riins_msgs.srv import SetSensorUse
 from riins_node import convert, fields, qos
 from riins_node.inputs import several_publishers
@@ -32,6 +33,7 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "imu/fused": (FusedImu, qos.imu),
     "imu/data_raw": (Imu, qos.imu),
     "fdi/status": (InertialFdi, qos.latched),
+    "nav/commands": (SensorUse, partial(qos.latched, 100)),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
 
@@ -117,6 +119,8 @@ class ImuFusionNode(AutostartLifecycleNode):
     def _set_sensor_use(self, request: Any, response: Any) -> Any:
         result = self._pipeline.set_sensor_use(request.target, request.use, convert.to_ns(request.effective))
         response.success, response.message = result.success, result.message
+        if result.success:
+            self._publish("nav/commands", fields.sensor_use(result.effective_ns, request.target, request.use))  # for navigating a recording again
         return response
 
     def _diagnose(self) -> None:

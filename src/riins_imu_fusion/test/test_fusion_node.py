@@ -21,7 +21,7 @@ from sensor_msgs.msg import Imu
 from riins_core.frames import frd_to_flu
 from riins_core.sensor_errors import normal
 from riins_imu_fusion.node import ImuFusionNode, main
-from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, TriadFdi
+from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, SensorUse, TriadFdi
 from riins_msgs.srv import SetSensorUse
 from riins_node import convert, fields, qos
 
@@ -208,6 +208,25 @@ def test_operator_service(bench: Bench) -> None:
     bench.until(lambda: bench.last_text() == "gyro_0 healthy -> excluded (operator)")
     told = next(m for m in bench.got["status"] if m.text.startswith("gyro_0"))
     assert told.gyro.state[0] == TriadFdi.EXCLUDED and convert.to_ns(told.header.stamp) == START + 15 * DT
+
+
+def test_accepted_commands_are_published_with_the_stamp_that_holds(bench: Bench) -> None:
+    def call(target: str, use: bool, stamp_ns: int = 0) -> None:
+        future = bench.use.call_async(SetSensorUse.Request(target=target, use=use, effective=convert.to_stamp(stamp_ns)))
+        bench.until(future.done)
+
+    call("accel_3", False)  # before the first sample
+    bench.feed(0, 10)
+    call("gyro_0", False, START + 15 * DT)
+    call("gyro_0", False, START)  # refused: that time has passed
+    call("gps", False)  # refused: not a sensor of this node
+    call("gyro_0", True, 0)
+    heard: list[SensorUse] = []
+    bench.other.create_subscription(SensorUse, "nav/commands", heard.append, qos.latched(100))  # late, as a recorder may be
+    bench.until(lambda: len(heard) >= 3)
+    assert [(m.target, m.use, convert.to_ns(m.header.stamp)) for m in heard] == [
+        ("accel_3", False, 0), ("gyro_0", False, START + 15 * DT), ("gyro_0", True, START + 9 * DT + 1),
+    ]  # fmt: skip
 
 
 def test_diagnostics_say_that_there_is_no_imu(bench: Bench) -> None:

@@ -24,6 +24,7 @@ from riins_node.readings import (
     read_nav_state,
     read_position_aid,
     read_redundant_imu,
+    read_sensor_use,
     read_velocity,
     to_ns,
 )
@@ -135,6 +136,7 @@ __all__ = [
     "read_nav_state",
     "read_position_aid",
     "read_redundant_imu",
+    "read_sensor_use",
     "read_velocity",
     "to_ns",
     "to_stamp",

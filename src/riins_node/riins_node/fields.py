@@ -350,6 +350,11 @@ def fault_array(stamp_ns: int, faults: Iterable[Any], start_at_ns: int = 0) -> F
     return {"header": header(stamp_ns, ""), "faults": [fault(one, start_at_ns) for one in faults]}
 
 
+def sensor_use(stamp_ns: int, target: str, use: bool) -> Fields:
+    """riins_msgs/SensorUse, an accepted command; `stamp_ns`: from when on it holds, 0 or less: from the first sample on."""
+    return {"header": header(max(int(stamp_ns), 0), ""), "target": target, "use": bool(use)}
+
+
 def diagnostics(stamp_ns: int, statuses: Iterable[tuple[str, str, str, Mapping[str, Any]]], hardware_id: str = "riins") -> Fields:
     """diagnostic_msgs/DiagnosticArray of (name, level, message, values); level is one of `LEVELS`."""
     return {

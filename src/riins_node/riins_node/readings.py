@@ -197,6 +197,11 @@ def read_fault(msg: Any, start_at_ns: int = 0) -> dict[str, Any]:
     }
 
 
+def read_sensor_use(msg: Any) -> dict[str, Any]:
+    """Read riins_msgs/SensorUse: the arguments of riins_federated.types.UseCommand by name; a stamp of zero holds from the first sample on."""
+    return {"name": str(msg.target), "use": bool(msg.use), "stamp_ns": to_ns(msg.header.stamp)}
+
+
 def _vector(v: Any) -> Array:
     return np.array([v.x, v.y, v.z], np.float64)
 

@@ -25,7 +25,18 @@ from sensor_msgs.msg import Imu, NavSatFix
 
 from riins_core import frames
 from riins_core.rotation import dcm_from_euler, dcm_from_quat, euler_from_dcm, exp_so3
-from riins_msgs.msg import FaultArray, FederatedStatus, FusedImu, InertialFdi, InitialState, Innovation, NavCovariance, NavState, RedundantImu
+from riins_msgs.msg import (
+    FaultArray,
+    FederatedStatus,
+    FusedImu,
+    InertialFdi,
+    InitialState,
+    Innovation,
+    NavCovariance,
+    NavState,
+    RedundantImu,
+    SensorUse,
+)
 from riins_node import convert, fields, qos, readings
 
 STAMP = 1_700_000_000_123_456_789
@@ -305,6 +316,13 @@ def test_fault_back() -> None:
     for fault in (Fault("gps", 0, 300.0, 0.0, "north", 30, None), Fault("gyro_2", 1, 0.0, 1e-6, "all", 60, 90)):
         msg = convert.fill(FaultArray, fields.fault_array(STAMP, [fault], 1_000_000))
         assert convert.read_fault(msg.faults[0], 1_000_000) == dataclasses.asdict(fault)
+
+
+def test_sensor_use_back() -> None:
+    for stamp, seen in ((STAMP, STAMP), (-(2**63), 0)):  # below zero: it held before the first sample, whatever its stamp
+        msg = convert.fill(SensorUse, fields.sensor_use(stamp, "gyro_2", False))
+        assert convert.read_sensor_use(msg) == {"name": "gyro_2", "use": False, "stamp_ns": seen}
+    assert convert.read_sensor_use(convert.fill(SensorUse, fields.sensor_use(STAMP, "gps", True)))["use"] is True
 
 
 def test_fill_makes_exact_types() -> None:
