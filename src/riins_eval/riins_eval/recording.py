@@ -117,13 +117,12 @@ class RunWriter:
         """Fused samples (riins_imu_fusion FusedBlock) with the covariance that belongs to the sensors used."""
         if not (self.fused and len(block)):
             return
-        rate = _by_mask(block.gyro_used, pipeline.rate_covariance)
-        force = _by_mask(block.accel_used, pipeline.force_covariance)
-        gyro_drift, accel_drift = pipeline.drift
+        rate = _by_mask(block.gyro_used, pipeline.rate_covariance) + block.gyro_excess
+        force = _by_mask(block.accel_used, pipeline.force_covariance) + block.accel_excess
         angle, velocity, onset = block.recalled()
         content = fields.fused_imu(
             block.stamp_ns, block.sequence, block.rate, block.force, rate, force, block.gyro_used, block.accel_used,
-            gyro_drift, accel_drift,
+            block.gyro_drift, block.accel_drift,
             angle_recall=angle, velocity_recall=velocity, recall_onset_ns=onset,
         )  # fmt: skip
         self._bag.write_block("/imu/fused", FUSED_IMU, block.stamp_ns, content)

@@ -203,6 +203,21 @@ class HealthMachine:
             return None
         return self._to(stamp_ns, HealthState.PROBATION, reason, first_ns=NEVER_NS)
 
+    def compensate(self, stamp_ns: int, reason: int) -> Change | None:
+        """What drifts is known and removed: stay in use, watched like any other."""
+        m = self._m
+        if m.state not in (HealthState.HEALTHY, HealthState.SUSPECT):
+            return None
+        return self._to(stamp_ns, HealthState.COMPENSATED, reason)
+
+    def recover(self, stamp_ns: int) -> Change | None:
+        """The drift that was removed has gone."""
+        return self._to(stamp_ns, HealthState.HEALTHY, self._recovered) if self._m.state is HealthState.COMPENSATED else None
+
+    def isolate(self, stamp_ns: int, reason: int) -> Change | None:
+        """Take out of use at once, on other grounds than the tests given to `step`; it returns like any other."""
+        return self._to(stamp_ns, HealthState.ISOLATED, reason, last_bad_ns=stamp_ns) if self.in_use else None
+
     def reset(self) -> None:
         """Forget everything but the operator's exclusion."""
         m = self._m

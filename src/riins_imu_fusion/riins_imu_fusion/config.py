@@ -17,6 +17,7 @@ from riins_core.frames import frd_to_flu
 from riins_core.settings import SettingError, section, setting
 from riins_fdi.health import HealthConfig
 from riins_fdi.parity import false_alarm_probability
+from riins_imu_fusion.glr_kf import GlrSettings
 
 KINDS = ("gyro", "accel")
 """The two triads, in the order of every array with a leading axis of 2."""
@@ -35,6 +36,7 @@ class FusionConfig:
     """Everything the fusion needs to know before it starts. Default noise of one sensor: sqrt 2 times that of the ship paper's fused triad."""
 
     rate_hz: float = setting(100.0, "nominal sample rate", "Hz", 0.1, 100e3)
+    method: str = setting("wls", "wls: weighted least squares; glr_kf: and drifts found, removed and paid back", choices=("wls", "glr_kf"))
     configuration: str = setting("dodecahedron", "geometry of the sensing axes", choices=tuple(imu_array.CONFIGURATIONS))
     geometry: tuple[float, ...] = setting((), "sensing axes as n unit vectors, row by row, FLU imu_link; empty: the configuration's", "", -1.0, 1.0)
     gyro_sigma: tuple[float, ...] = setting((8.2275e-6,), "white noise of one gyro sample: one value, or one for each", "rad/s", 1e-15, 100.0)
@@ -44,6 +46,7 @@ class FusionConfig:
     mean_time_between_false_alarms_h: float = setting(10.0, "of each triad, with one test a sample", "h", 1e-6, 1e9)
     false_alarm_probability: float = setting(0.0, "probability per sample and triad; 0: from the mean time between false alarms", "", 0.0, 0.5)
     health: SensorHealth = section(SensorHealth, "isolation, hold and probation of a sensor")
+    glr: GlrSettings = section(GlrSettings, "when glr_kf believes in a drift, and how it is removed")
     probation_mean_limit: float = setting(1.0, "mean residual over the probation that prevents a return, in sigma of one residual", "", 0.01, 100.0)
     stuck_count: int = setting(10, "samples with one and the same value after which a sensor is taken as stuck; 0: never", "", 0, 1_000_000)
     gyro_limit: float = setting(0.0, "range of a gyro: at or beyond it the value is saturated; 0: none", "rad/s", 0.0, 1e4)

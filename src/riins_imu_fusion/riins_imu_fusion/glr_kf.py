@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from riins_core.settings import setting
 from riins_fdi.innovation import nis_threshold
 
-from .glr_kf_kernel import fuse_block, open_now
-from .glr_kf_state import DOUBT, OPEN, GlrRules, GlrState, fresh
+from .glr_kf_kernel import fuse_block
+from .glr_kf_resolve import answer, open_now
+from .glr_kf_state import CALL, DOUBT, OPEN, WALK, GlrRules, GlrState, fresh
 from .method import Fused, FusionMethod, Table, TriadModel
 
 Array = NDArray[np.float64]
@@ -44,6 +45,11 @@ class GlrSettings:
     floor: float = setting(0.0, "part of an ordinary bias that changes with the motion, in sigma of a sample's noise", "", 0.0, 100.0)
     recall_s: float = setting(0.5, "time constant in which what a drift has put in before it was known is taken out again", "s", 0.0, 600.0)
     noise_time_s: float = setting(5.0, "time constant of the mean square by which an open sensor is watched", "s", 0.01, 600.0)
+    noise_limit: float = setting(2.0, "mean square above which an open sensor is dead, 1: that of its noise", "", 1.0, 1e6)
+    drift_limit: float = setting(10.0, "drift beyond which a sensor is isolated instead of compensated, in sigma of a sample's noise", "", 0.1, 1e9)
+    close_s: float = setting(60.0, "a sensor whose drift is gone for this long counts as healthy again", "s", 0.1, 1e6)
+    doubt_s: float = setting(5.0, "an alarm that is not resolved after this is reported", "s", 0.0, 1e6)
+    walk: float = setting(1e-5, "bias instability of a healthy sensor: step of a sample, in sigma of its noise", "", 0.0, 1.0)
     patience_s: float = setting(1.0, "another set of sensors is worked with when it lasts this long", "s", 0.0, 600.0)
 
 
@@ -64,10 +70,7 @@ def make_rules(model: TriadModel, settings: GlrSettings) -> GlrRules:
     batch = max(1, round(settings.batch_s / model.dt))
     return GlrRules(
         batch=batch,
-        sigma2=model.R,
-        prior2=model.P,
-        walk=model.Q,
-        floor2=settings.floor**2 * model.R,
+        each=np.stack([model.R, model.P, model.Q, settings.floor**2 * model.R]),
         alarm=alarm_threshold(settings.mean_time_between_false_alarms_h, 1.0 / (batch * model.dt), model.array.n),
         sure=settings.sure,
         again=settings.again,
@@ -80,6 +83,10 @@ def make_rules(model: TriadModel, settings: GlrSettings) -> GlrRules:
         restless=settings.restless,
         payback=-math.expm1(-model.dt / settings.recall_s) if settings.recall_s > 0.0 else 1.0,
         noise_gain=-math.expm1(-batch * model.dt / settings.noise_time_s),
+        noise_limit=settings.noise_limit,
+        drift_limit=settings.drift_limit,
+        close=round(settings.close_s / model.dt),
+        doubt=round(settings.doubt_s / model.dt),
         patience=round(settings.patience_s / model.dt),
     )
 
@@ -90,7 +97,7 @@ def make_state(model: TriadModel, settings: GlrSettings) -> GlrState:
     levels = max(1, 1 + math.ceil(math.log2(max(1.0, settings.longest_window_s / batch / 8.0))))
     state = fresh(model.array.n, levels)
     state.P[:] = np.diag(model.P)
-    state.walk[:] = model.Q
+    state.vec[WALK] = model.Q
     return state
 
 
@@ -149,4 +156,8 @@ class GlrKalman(FusionMethod):
 
     def _run(self, table: Table, z: Array, out: Fused) -> None:
         V = np.linalg.solve(np.linalg.cholesky(table.R), table.V) if len(table.V) else table.V
-        fuse_block(z, np.ascontiguousarray(V), table.used, table.W, self.state, self.rules, out.x, out.covariance, out.drift)
+        V, state, k = np.ascontiguousarray(V), self.state, 0
+        while k < len(z):
+            k = fuse_block(k, z, table.used, len(V), table.W, state, self.rules, out.x, out.covariance, out.drift)
+            if state.ints[CALL]:
+                answer(state, self.rules, V, table.used)

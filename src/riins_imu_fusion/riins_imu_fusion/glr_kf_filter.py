@@ -10,7 +10,35 @@ import numpy as np
 
 from riins_core.jit import jit
 
-from .glr_kf_state import CLOSED, COUNT, DOF, SLOTS, F, GlrRules, GlrState
+from .glr_kf_state import (
+    AT,
+    CLOSED,
+    COUNT,
+    COV,
+    COV_THEN,
+    CROSS,
+    CROSS_THEN,
+    DOF,
+    EXPECTED,
+    FILLED,
+    JUMP,
+    LOG,
+    OPENED_AT,
+    SIGMA2,
+    SLOTS,
+    STATE,
+    STRIDE,
+    SUM,
+    SUM_THEN,
+    TOTAL,
+    TOTAL_THEN,
+    WALK,
+    X_THEN,
+    F,
+    GlrRules,
+    GlrState,
+    X,
+)
 
 
 @jit
@@ -50,17 +78,17 @@ def remember(st: GlrState, level: int) -> None:
     s = st.ring[level, 0]
     st.ring[level, 0] = (s + 1) % SLOTS
     st.ring[level, 1] = min(SLOTS, st.ring[level, 1] + 1)
-    st.at[level, s] = st.ints[COUNT]
+    st.ring[level, AT + s] = st.ints[COUNT]
     for r in range(st.ints[DOF]):
-        st.r_sum[level, s, r] = st.sum[r]
+        st.r_par[level, s, SUM_THEN, r] = st.par[SUM, r]
         a = 0.0
-        for i in range(st.x.shape[0]):
-            a += st.V[r, i] * st.x[i]
-        st.r_mean[level, s, r] = a
-    st.r_x[level, s] = st.x
-    st.r_P[level, s] = st.P
-    st.r_C[level, s] = st.C
-    st.r_total[level, s] = st.total
+        for i in range(st.vec.shape[1]):
+            a += st.V[r, i] * st.vec[X, i]
+        st.r_par[level, s, EXPECTED, r] = a
+    st.r_vec[level, s, X_THEN] = st.vec[X]
+    st.r_mat[level, s, COV_THEN] = st.mat[COV]
+    st.r_mat[level, s, CROSS_THEN] = st.mat[CROSS]
+    st.r_vec[level, s, TOTAL_THEN] = st.vec[TOTAL]
 
 
 @jit
@@ -101,12 +129,28 @@ def whiten(V: F, d: int, nu: F, S: F, u: F, t: F) -> bool:
 @jit
 def wander(st: GlrState, rules: GlrRules, i: int, count: int) -> float:
     """Variance of the step of a sensor's drift: of one that is open, as if it changed by `restless` of its size whenever its age has grown e-fold."""
-    if st.open[i] == CLOSED:
-        return float(st.walk[i])
-    return float(st.walk[i] + (rules.restless * st.jump[i]) ** 2 / max(count - st.opened[i], 1))
+    if st.whole[STATE, i] == CLOSED:
+        return float(st.vec[WALK, i])
+    return float(st.vec[WALK, i] + (rules.restless * st.vec[JUMP, i]) ** 2 / max(count - st.whole[OPENED_AT, i], 1))
 
 
 @jit
 def free(st: GlrState, rules: GlrRules, index: int, at: int) -> None:
     """Let the drift of a sensor be anything from now on."""
-    st.P[index, index] += rules.sigma2[index] * rules.diffuse**2
+    st.mat[COV, index, index] += rules.each[SIGMA2, index] * rules.diffuse**2
+
+
+@jit
+def log_moment(st: GlrState, count: int, total: F) -> None:
+    """Append a moment; a full log drops every second one but the first."""
+    if st.ints[FILLED] == LOG:
+        kept = 1
+        for q in range(2, LOG, 2):
+            st.log_at[kept] = st.log_at[q]
+            st.log_sum[kept] = st.log_sum[q]
+            kept += 1
+        st.ints[FILLED] = kept
+        st.ints[STRIDE] *= 2
+    st.log_at[st.ints[FILLED]] = count
+    st.log_sum[st.ints[FILLED]] = total
+    st.ints[FILLED] += 1

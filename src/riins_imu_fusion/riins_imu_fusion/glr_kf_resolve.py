@@ -10,29 +10,84 @@ import numpy as np
 
 from riins_core.jit import jit
 
-from .glr_kf_filter import absorb, forget, free, wander, whiten
-from .glr_kf_state import ACTIVE, COUNT, DOF, DOUBT, FILLED, FIRST, LOG, OPEN, SECOND, STRIDE, F, GlrRules, GlrState
+from .glr_kf_filter import absorb, forget, free, log_moment, wander, whiten
+from .glr_kf_state import (
+    ACTIVE,
+    ALARM,
+    AT,
+    BASE_COV,
+    BASE_CROSS,
+    BASE_SUM,
+    BASE_TOTAL,
+    BASE_X,
+    BASED,
+    BEFORE,
+    CALL,
+    CHANGED,
+    CLOSED,
+    COUNT,
+    COV,
+    COV_THEN,
+    CROSS,
+    CROSS_THEN,
+    DOF,
+    DONE,
+    DOUBT,
+    FILLED,
+    FIRST,
+    FLOOR2,
+    JUMP,
+    LEVEL,
+    NOISE,
+    NONE,
+    OPEN,
+    OPENED_AT,
+    OTHER_SET,
+    PAID,
+    PRIOR2,
+    SECOND,
+    SIGMA2,
+    SINCE,
+    SLOT,
+    SMALL_FOR,
+    STATE,
+    STEP2,
+    STRANGE,
+    STRIDE,
+    SUM,
+    SUM_THEN,
+    TOTAL,
+    TOTAL_THEN,
+    USED,
+    WALK,
+    X_THEN,
+    F,
+    GlrRules,
+    GlrState,
+    X,
+)
 
-# what a sample brought
+# what is made of an alarm
 QUIET, OPENED, DOUBTFUL = 0, 1, 2
 
 
 @jit
 def begin_log(st: GlrState, level: int, slot: int) -> None:
     """An alarm: keep the moment before its onset, and the sums at all moments remembered since then."""
-    began = st.at[level, slot]
+    began = st.ring[level, AT + slot]
     older, place, at = -1, -1, -1
     for q in range(st.ring[level, 1]):  # one moment earlier than the likeliest, if there is one: the onset may lie between the two
-        if st.at[level, q] < began and st.at[level, q] > at:
-            older, place, at = level, q, st.at[level, q]
+        if st.ring[level, AT + q] < began and st.ring[level, AT + q] > at:
+            older, place, at = level, q, st.ring[level, AT + q]
     if older < 0:
         older, place, at = level, slot, began
-    st.base_x[:] = st.r_x[older, place]
-    st.base_P[:] = st.r_P[older, place]
-    st.base_C[:] = st.r_C[older, place]
-    st.base_total[:] = st.r_total[older, place]
-    st.base_sum[:] = st.r_sum[older, place]
+    st.vec[BASE_X, :] = st.r_vec[older, place, X_THEN]
+    st.mat[BASE_COV, :] = st.r_mat[older, place, COV_THEN]
+    st.mat[BASE_CROSS, :] = st.r_mat[older, place, CROSS_THEN]
+    st.vec[BASE_TOTAL, :] = st.r_vec[older, place, TOTAL_THEN]
+    st.par[BASE_SUM, :] = st.r_par[older, place, SUM_THEN]
     st.ints[DOUBT] = 1
+    st.ints[SINCE] = st.ints[COUNT]
     st.ints[STRIDE] = 1
     st.ints[FILLED] = 0
     last = at - 1
@@ -40,29 +95,13 @@ def begin_log(st: GlrState, level: int, slot: int) -> None:
         nearest, f_level, f_slot = st.ints[COUNT], -1, -1
         for q_level in range(st.ring.shape[0]):
             for q in range(st.ring[q_level, 1]):
-                a = st.at[q_level, q]
+                a = st.ring[q_level, AT + q]
                 if a > last and a < nearest:
                     nearest, f_level, f_slot = a, q_level, q
         if f_level < 0:
             break
-        log_moment(st, nearest, st.r_sum[f_level, f_slot])
+        log_moment(st, nearest, st.r_par[f_level, f_slot, SUM_THEN])
         last = nearest
-
-
-@jit
-def log_moment(st: GlrState, count: int, total: F) -> None:
-    """Append a moment; a full log drops every second one but the first."""
-    if st.ints[FILLED] == LOG:
-        kept = 1
-        for q in range(2, LOG, 2):
-            st.log_at[kept] = st.log_at[q]
-            st.log_sum[kept] = st.log_sum[q]
-            kept += 1
-        st.ints[FILLED] = kept
-        st.ints[STRIDE] *= 2
-    st.log_at[st.ints[FILLED]] = count
-    st.log_sum[st.ints[FILLED]] = total
-    st.ints[FILLED] += 1
 
 
 @jit
@@ -94,9 +133,9 @@ def shapes(st: GlrState, w: float, y: F, gram: F, weight: F, mean: F) -> int:
         last = g + 1 == G
         span[g] = float((now if last else st.log_at[g + 1]) - st.log_at[g])
         for r in range(d):
-            e = (st.sum[r] if last else st.log_sum[g + 1, r]) - st.log_sum[g, r]
-            for i in range(st.x.shape[0]):
-                e -= span[g] * st.V[r, i] * st.base_x[i]
+            e = (st.par[SUM, r] if last else st.log_sum[g + 1, r]) - st.log_sum[g, r]
+            for i in range(st.vec.shape[1]):
+                e -= span[g] * st.V[r, i] * st.vec[BASE_X, i]
             y[g, r] = e
     K = G
     for k in range(G):
@@ -159,20 +198,20 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
     first, second : sensors; when in doubt, those that explain it best so far; -1: none; both the same: it changed twice
     shape_first, shape_second : as in `shapes`
     """
-    n, d, G, now = st.x.shape[0], st.ints[DOF], st.ints[FILLED], st.ints[COUNT]
+    n, d, G, now = st.vec.shape[1], st.ints[DOF], st.ints[FILLED], st.ints[COUNT]
     w = float(now - st.log_at[0])
     nu = np.zeros(d)
     for r in range(d):
-        nu[r] = st.sum[r] - st.base_sum[r]
+        nu[r] = st.par[SUM, r] - st.par[BASE_SUM, r]
         for i in range(n):
-            nu[r] -= w * st.V[r, i] * st.base_x[i]
+            nu[r] -= w * st.V[r, i] * st.vec[BASE_X, i]
         for c in range(r + 1):
             a = 1.0 / w if r == c else 0.0
             for i in range(n):
                 b = 0.0
                 for j in range(n):
-                    b += st.base_P[i, j] * st.V[c, j]
-                a += st.V[r, i] * (b + (wander(st, rules, i, now) * w / 3.0 + rules.floor2[i]) * st.V[c, i])
+                    b += st.mat[BASE_COV, i, j] * st.V[c, j]
+                a += st.V[r, i] * (b + (wander(st, rules, i, now) * w / 3.0 + rules.each[FLOOR2, i]) * st.V[c, i])
             S[r, c] = a
     if w < 1.0 or not whiten(st.V, d, nu, S, u, t):
         return QUIET, -1, -1, 0, 0
@@ -188,9 +227,9 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
             for r in range(d):
                 vv[i, j] += st.V[r, i] * st.V[r, j]
                 uu[i, j] += u[r, i] * u[r, j]
-        if vv[i, i] <= 1e-12 / rules.sigma2[i]:
+        if vv[i, i] <= 1e-12 / rules.each[SIGMA2, i]:
             continue
-        bonus = rules.bonus if st.open[i] == OPEN else 0.0
+        bonus = rules.bonus if st.whole[STATE, i] == OPEN else 0.0
         along = 0.0
         for r in range(d):
             along += u[r, i] * t[r]
@@ -208,7 +247,7 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
             single[i], one[i], two[i] = s + bonus - rules.twice, k, j
         if single[i] > value:
             best, value = i, single[i]
-    if best < 0 or value < 0.5 * (rules.again if st.open[best] == OPEN else rules.alarm):
+    if best < 0 or value < 0.5 * (rules.again if st.whole[STATE, best] == OPEN else rules.alarm):
         return QUIET, -1, -1, 0, 0
     if d < 2:
         return DOUBTFUL, -1, -1, 0, 0
@@ -222,7 +261,7 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
             if d < 3 or single[j] < 0.0:
                 continue
             s, k, q = best_two(rhs[i], rhs[j], info[i], info[j], vv[i, j], uu[i, j], gram, weight, w, K, False)
-            s += (rules.bonus if st.open[i] == OPEN else 0.0) + (rules.bonus if st.open[j] == OPEN else 0.0)
+            s += (rules.bonus if st.whole[STATE, i] == OPEN else 0.0) + (rules.bonus if st.whole[STATE, j] == OPEN else 0.0)
             if s > most:
                 next_most = most
                 first, second, shape_first, shape_second, most = i, j, k, q, s
@@ -239,7 +278,7 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
     misfit = max(1.0, left / max(d * G - 2, 1))
     if most - value < rules.parsimony * misfit:
         ahead = (value - runner) / misfit
-        sure = value >= rules.sure * misfit or st.open[best] == OPEN
+        sure = value >= rules.sure * misfit or st.whole[STATE, best] == OPEN
         first, second, shape_first, shape_second = best, best if two[best] >= 0 else -1, one[best], two[best]
     else:
         ahead = (most - next_most) / misfit
@@ -257,16 +296,16 @@ def suppose(st: GlrState, rules: GlrRules, first: int, second: int, shape_first:
 
     One that grows like a ramp wanders while the log is taken in, by as much as the parities say.
     """
-    n, d, G = st.x.shape[0], st.ints[DOF], st.ints[FILLED]
+    n, d, G = st.vec.shape[1], st.ints[DOF], st.ints[FILLED]
     if st.ints[ACTIVE] == 0:
         # nothing has been removed so far: what is known of healthy sensors is not seen in W, so it may as well have been
         for i in range(n):
-            st.paid[i] = st.base_total[i] + (st.ints[COUNT] - st.log_at[0]) * st.base_x[i]
+            st.vec[PAID, i] = st.vec[BASE_TOTAL, i] + (st.ints[COUNT] - st.log_at[0]) * st.vec[BASE_X, i]
         st.ints[ACTIVE] = 1
-    st.x[:] = st.base_x
-    st.P[:] = st.base_P
-    st.C[:] = st.base_C
-    st.total[:] = st.base_total
+    st.vec[X, :] = st.vec[BASE_X]
+    st.mat[COV, :] = st.mat[BASE_COV]
+    st.mat[CROSS, :] = st.mat[BASE_CROSS]
+    st.vec[TOTAL, :] = st.vec[BASE_TOTAL]
     mean = np.empty(d)
     for g in range(G):
         if first >= 0 and g == onset(shape_first, G):
@@ -278,17 +317,17 @@ def suppose(st: GlrState, rules: GlrRules, first: int, second: int, shape_first:
         if w < 1:
             continue
         for r in range(d):
-            mean[r] = ((st.log_sum[g + 1, r] if g + 1 < G else st.sum[r]) - st.log_sum[g, r]) / w
+            mean[r] = ((st.log_sum[g + 1, r] if g + 1 < G else st.par[SUM, r]) - st.log_sum[g, r]) / w
         for i in range(n):
-            st.P[i, i] += w * wander(st, rules, i, end)
+            st.mat[COV, i, i] += w * wander(st, rules, i, end)
         for i, shape in ((first, shape_first), (second, shape_second)):
             if i >= 0 and shape >= G and g > onset(shape, G):
-                st.P[i, i] += w * growth(st, i, st.ints[COUNT] - st.log_at[onset(shape, G)])
+                st.mat[COV, i, i] += w * growth(st, i, st.ints[COUNT] - st.log_at[onset(shape, G)])
         for i in range(n):
-            st.total[i] += w * st.x[i]
+            st.vec[TOTAL, i] += w * st.vec[X, i]
             for j in range(n):
-                st.C[i, j] += w * st.P[i, j]
-        absorb(st.V, d, mean, 1.0 / w, st.x, st.P, st.C, st.total)
+                st.mat[CROSS, i, j] += w * st.mat[COV, i, j]
+        absorb(st.V, d, mean, 1.0 / w, st.vec[X], st.mat[COV], st.mat[CROSS], st.vec[TOTAL])
     st.ints[FIRST] = first + 1
     st.ints[SECOND] = second + 1
 
@@ -300,9 +339,9 @@ def growth(st: GlrState, i: int, age: int) -> float:
     w = float(st.ints[COUNT] - st.log_at[g])
     a, b = 0.0, 0.0
     for r in range(st.ints[DOF]):
-        e = (st.sum[r] - st.log_sum[g, r]) / w
-        for k in range(st.x.shape[0]):
-            e -= st.V[r, k] * st.base_x[k]
+        e = (st.par[SUM, r] - st.log_sum[g, r]) / w
+        for k in range(st.vec.shape[1]):
+            e -= st.V[r, k] * st.vec[BASE_X, k]
         a += st.V[r, i] * e
         b += st.V[r, i] * st.V[r, i]
     return float((a / b) ** 2 / age)
@@ -321,11 +360,92 @@ def settle(st: GlrState, first: int, second: int, shape_first: int, shape_second
 @jit
 def mark_open(st: GlrState, i: int, at: int) -> None:
     """A sensor is open since an entry of the log."""
-    change = st.x[i] - st.base_x[i]
-    if st.open[i] == OPEN:  # opened again: it wanders, and by about so much
-        age = max(st.log_at[at] - st.opened[i], 1)
-        st.walk[i] = max(st.walk[i], change * change / age)
-    st.open[i] = OPEN
-    st.opened[i] = st.log_at[at]
-    st.jump[i] = change
-    st.noise[i] = 1.0
+    change = st.vec[X, i] - st.vec[BASE_X, i]
+    if st.whole[STATE, i] == OPEN:  # opened again: it wanders, and by about so much
+        age = max(st.log_at[at] - st.whole[OPENED_AT, i], 1)
+        st.vec[WALK, i] = max(st.vec[WALK, i], change * change / age)
+    else:
+        st.vec[BEFORE, i] = st.vec[BASE_X, i]
+    st.whole[STATE, i] = OPEN
+    st.whole[SMALL_FOR, i] = 0
+    st.whole[OPENED_AT, i] = st.log_at[at]
+    st.vec[JUMP, i] = change
+    st.vec[NOISE, i] = 1.0
+
+
+@jit
+def open_now(st: GlrState, rules: GlrRules, index: int) -> None:
+    """Open a sensor without an alarm, from the next sample on."""
+    if st.ints[ACTIVE] == 0:
+        st.vec[PAID, :] = st.vec[TOTAL]
+        st.ints[ACTIVE] = 1
+    free(st, rules, index, st.ints[COUNT])
+    st.whole[STATE, index] = OPEN
+    st.whole[OPENED_AT, index] = st.ints[COUNT]
+    st.vec[JUMP, index] = 0.0
+    st.vec[BEFORE, index] = st.vec[X, index]
+    close_log(st)
+
+
+@jit
+def rebase(st: GlrState, rules: GlrRules, V: F, used: F) -> None:
+    """Go over to another set of sensors; what is known of each stays, but one that comes in anew is as at the beginning."""
+    n, d = st.vec.shape[1], V.shape[0]
+    if st.ints[DOUBT] == 1:
+        suppose(st, rules, -1, -1, -1, -1)
+    first_time = st.ints[BASED] == 0
+    for i in range(n):
+        if used[i] > 0.0 and st.vec[USED, i] == 0.0:
+            st.vec[X, i] = 0.0
+            st.vec[TOTAL, i] = st.vec[PAID, i]
+            st.mat[COV, i] = 0.0
+            st.mat[COV, :, i] = 0.0
+            st.mat[CROSS, i] = 0.0
+            st.mat[CROSS, :, i] = 0.0
+            st.mat[COV, i, i] = rules.each[PRIOR2, i]
+            st.vec[WALK, i] = rules.each[STEP2, i]
+            st.whole[STATE, i] = CLOSED
+        st.vec[USED, i] = used[i]
+        st.whole[OPENED_AT, i] -= st.ints[COUNT]
+    st.V[:] = 0.0
+    for r in range(d):
+        for i in range(n):
+            st.V[r, i] = V[r, i]
+    if not first_time and st.ints[ACTIVE] == 0:  # the biases of the healthy ones are seen in the new W
+        st.vec[PAID, :] = st.vec[TOTAL]
+        st.ints[ACTIVE] = 1
+    st.ints[BASED] = 1
+    st.ints[DOF] = d
+    st.ints[COUNT] = 0
+    st.ints[STRANGE] = 0
+    st.par[SUM, :] = 0.0
+    st.par[DONE, :] = 0.0
+    close_log(st)
+
+
+@jit
+def answer(st: GlrState, rules: GlrRules, V: F, used: F) -> None:
+    """What the loop has asked for in st.ints[CALL]: it is seldom, and would make the loop long to compile.
+
+    Parameters
+    ----------
+    V, used : (d, n), (n,), parity matrix of unit noise and members of the set of sensors of the last sample
+    """
+    call, count = st.ints[CALL], st.ints[COUNT]
+    st.ints[CALL] = NONE
+    if call == OTHER_SET:
+        rebase(st, rules, V, used)
+        return
+    if call == ALARM:
+        begin_log(st, st.ints[LEVEL], st.ints[SLOT])
+    n, d = st.vec.shape[1], st.V.shape[0]
+    verdict, first, second, shape_first, shape_second = resolve(st, rules, np.empty((d, d)), np.empty((d, n)), np.empty(d))
+    if verdict == OPENED or first >= 0 or st.ints[FIRST] > 0:
+        suppose(st, rules, first, second, shape_first, shape_second)
+    if verdict == OPENED:
+        settle(st, first, second, shape_first, shape_second)
+        st.ints[CHANGED] = 1
+    elif verdict == QUIET:
+        close_log(st)
+    else:
+        log_moment(st, count, st.par[SUM])

@@ -18,24 +18,47 @@ SLOTS = 8
 """Moments remembered on each level."""
 
 # elements of GlrState.ints
-COUNT, DOF, ACTIVE, DOUBT, FILLED, STRIDE, FIRST, SECOND, BASED, STRANGE = range(10)
+COUNT, DOF, ACTIVE, DOUBT, FILLED, STRIDE, FIRST, SECOND, BASED, STRANGE, CHANGED, SINCE, CALL, LEVEL, SLOT = range(15)
 """samples; rows of V; 1: something has been removed; 1: an alarm is being resolved; entries of the log; samples between its entries; 1 + each of
-the sensors taken for the cause for the time being, 0: none; 1: there is a set of sensors; samples in a row with another one"""
-INTS = 10
+the sensors taken for the cause for the time being, 0: none; 1: there is a set of sensors; samples in a row with another one;
+1: a sensor was opened, closed or found dead; count at the beginning of the alarm; what the loop asks for;
+level and slot of an alarm"""
+INTS = 15
+# values of CALL
+NONE, ALARM, RESOLVE, OTHER_SET = 0, 1, 2, 3
 LOG = 24
 """Entries of the log of an alarm."""
-# GlrState.open
+# rows of GlrState.vec
+X, TOTAL, PAID, WALK, JUMP, NOISE, REMOVED, USED, BASE_X, BASE_TOTAL, BEFORE = range(11)
+"""bias and drift; its integral: sum over the samples, estimated; sum of what has been removed; variance of the step; drift found at the last opening;
+mean square of the residual along the sensor, 1 when all is well; removed from the last sample; 1: in the set of sensors;
+X and TOTAL at the base of the log; X before the sensor was opened"""
+# matrices of GlrState.mat
+COV, CROSS, BASE_COV, BASE_CROSS = range(4)
+"""covariance of X; covariance of the error of TOTAL with that of X; both at the base of the log"""
+# rows of GlrState.par
+PARITY, SUM, DONE, BASE_SUM = range(4)
+"""of the last sample; sum of all; of those worked in; at the base of the log"""
+# rows of GlrState.whole
+STATE, OPENED_AT, SMALL_FOR = range(3)
 CLOSED, OPEN = 0, 1
+"""values of STATE; SMALL_FOR: samples for which the drift of an open sensor has been gone"""
+# columns of GlrState.ring, and what is remembered of each moment
+NEXT, KEPT, AT = 0, 1, 2
+SUM_THEN, EXPECTED = 0, 1
+X_THEN, TOTAL_THEN = 0, 1
+COV_THEN, CROSS_THEN = 0, 1
+# rows of GlrRules.each
+SIGMA2, PRIOR2, STEP2, FLOOR2 = range(4)
+"""variance of the white noise of a sample; of the ordinary bias; of its step before each sample; of a part of it that changes with the motion,
+which does not average out over any window"""
 
 
 class GlrRules(NamedTuple):
     """What does not change during a run."""
 
     batch: int  # samples worked in at once: each is 1/batch of the filter's cost
-    sigma2: F  # (n,), variance of the white noise of a sample
-    prior2: F  # (n,), variance of the ordinary bias
-    walk: F  # (n,), variance of the bias' step before each sample, of a healthy sensor
-    floor2: F  # (n,), variance of a part of the bias that changes with the motion and does not average out over any window
+    each: F  # (4, n)
     alarm: float  # threshold of a statistic with one degree of freedom
     sure: float  # below it nobody is opened for the first time: too little to tell one sensor from two
     again: float  # of a sensor that is open already
@@ -48,60 +71,61 @@ class GlrRules(NamedTuple):
     restless: float  # part of its size by which an open drift changes as its age grows e-fold
     payback: float  # part of the debt paid at each sample
     noise_gain: float  # of the running mean square of an open sensor's residual
+    noise_limit: float  # which an open sensor's mean square must not exceed
+    drift_limit: float  # nor its drift this, in sigma of its noise
+    close: int  # samples after which a sensor whose drift is gone is closed
+    doubt: int  # samples of an unresolved alarm until it is said
     patience: int  # samples in a row with another set of sensors before it is worked with
 
 
 class GlrState(NamedTuple):
-    """All that the filter remembers, of one kind of sensor."""
+    """All that the filter remembers, of one kind of sensor; few arrays, for a compiler takes each one apart at every call."""
 
     ints: I
-    used: F  # (n,), 1: in the set of sensors
     V: F  # (d, n), parity matrix scaled to unit noise; rows beyond DOF and columns of sensors not used are zero
-    x: F  # (n,), bias and drift of each sensor
-    P: F  # (n, n)
-    C: F  # (n, n), covariance of the error of `total` with that of `x`
-    total: F  # (n,), integral of the drift: sum over the samples, estimated
-    paid: F  # (n,), sum of what has been removed
-    walk: F  # (n,)
-    open: I  # (n,)
-    opened: I  # (n,), count when it was opened the last time
-    jump: F  # (n,), drift found then
-    noise: F  # (n,), mean square of the residual along the sensor, 1 when all is well
-    p: F  # (d,), parity of the last sample
-    sum: F  # (d,), of all parities
-    done: F  # (d,), of those worked in
-    c: F  # (n,), what is removed from the last sample
-    ring: I  # (L, 2), next slot, slots filled
-    at: I  # (L, SLOTS), count
-    r_sum: F  # (L, SLOTS, d)
-    r_mean: F  # (L, SLOTS, d), parity expected
-    r_x: F
-    r_P: F
-    r_C: F
-    r_total: F
-    base_x: F  # the moment before the alarm's onset: (n,)
-    base_P: F
-    base_C: F
-    base_total: F
-    base_sum: F
-    log_at: I  # (LOG,), counts since; the first is that of the base
+    vec: F  # (11, n)
+    mat: F  # (4, n, n)
+    par: F  # (4, d)
+    whole: I  # (3, n)
+    ring: I  # (L, 2 + SLOTS), of each level: next slot, slots kept, counts
+    r_par: F  # (L, SLOTS, 2, d)
+    r_vec: F  # (L, SLOTS, 2, n)
+    r_mat: F  # (L, SLOTS, 2, n, n)
+    log_at: I  # (LOG,), counts since an alarm; the first is that of the base
     log_sum: F  # (LOG, d)
+
+    @property
+    def x(self) -> F:
+        """Bias and drift of each sensor (n,)."""
+        return self.vec[X]
+
+    @property
+    def P(self) -> F:
+        """Its covariance (n, n)."""
+        return self.mat[COV]
+
+    @property
+    def open(self) -> I:
+        """Which sensors are open (n,)."""
+        return self.whole[STATE]
 
 
 def fresh(n: int, levels: int) -> GlrState:
-    """State before the first sample, without a set of sensors: `rebase` gives it one."""
+    """State before the first sample, without a set of sensors: the first one gives it."""
     d = max(1, n - 3)
-
-    def z(*shape: int) -> F:
-        return np.zeros(shape)
-
-    def whole(*shape: int) -> I:
-        return np.zeros(shape, np.int64)
-
-    return GlrState(
-        ints=whole(INTS), used=z(n), V=z(d, n), x=z(n), P=z(n, n), C=z(n, n), total=z(n), paid=z(n), walk=z(n), open=whole(n), opened=whole(n),
-        jump=z(n), noise=np.ones(n), p=z(d), sum=z(d), done=z(d), c=z(n), ring=whole(levels, 2), at=whole(levels, SLOTS), r_sum=z(levels, SLOTS, d),
-        r_mean=z(levels, SLOTS, d),
-        r_x=z(levels, SLOTS, n), r_P=z(levels, SLOTS, n, n), r_C=z(levels, SLOTS, n, n), r_total=z(levels, SLOTS, n), base_x=z(n), base_P=z(n, n),
-        base_C=z(n, n), base_total=z(n), base_sum=z(d), log_at=whole(LOG), log_sum=z(LOG, d),
-    )  # fmt: skip
+    state = GlrState(
+        ints=np.zeros(INTS, np.int64),
+        V=np.zeros((d, n)),
+        vec=np.zeros((11, n)),
+        mat=np.zeros((4, n, n)),
+        par=np.zeros((4, d)),
+        whole=np.zeros((3, n), np.int64),
+        ring=np.zeros((levels, 2 + SLOTS), np.int64),
+        r_par=np.zeros((levels, SLOTS, 2, d)),
+        r_vec=np.zeros((levels, SLOTS, 2, n)),
+        r_mat=np.zeros((levels, SLOTS, 2, n, n)),
+        log_at=np.zeros(LOG, np.int64),
+        log_sum=np.zeros((LOG, d)),
+    )
+    state.vec[NOISE] = 1.0
+    return state

@@ -11,6 +11,10 @@ import numpy as np
 
 from riins_core.jit import jit
 from riins_fdi.parity import parity_vector, suspect, suspect_pair
+from riins_imu_fusion.glr_kf_kernel import hold, other_set, step
+from riins_imu_fusion.glr_kf_state import ACTIVE, CALL, CHANGED, COUNT, COV, DOUBT, FIRST, REMOVED, SINCE, STATE, USED, GlrRules, GlrState, X
+from riins_imu_fusion.glr_kf_state import NONE as GLR_NONE
+from riins_imu_fusion.glr_kf_state import OPEN as GLR_OPEN
 from riins_imu_fusion.state import (
     BAD,
     COMMAND,
@@ -243,6 +247,53 @@ def without(key: np.uint64, first: int, second: int) -> np.uint64:
 
 
 @jit
+def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
+    """Measurements without the drifts known before this sample."""
+    for i in range(z.shape[1]):
+        tested[kind, i] = z[kind, i]
+        if glr.ints[ACTIVE] == 1 and glr.vec[USED, i] > 0.0:
+            tested[kind, i] -= glr.vec[X, i]
+
+
+@jit
+def learn(
+    kind: int, alarm: int, dof: int, member: F, z: F, glr: GlrState, rules: GlrRules, clean: F, drift: F
+) -> bool:  # fmt: skip
+    """Let the filter see the sample and take the drifts from it; True: it asks for an answer, or a sensor was closed or found dead."""
+    n, rows = z.shape[1], glr.V.shape[0]
+    if alarm != QUIET or dof < 1:
+        hold(glr)  # not even the sensors in use agree: nothing to learn
+    elif not other_set(glr, rules, member):
+        nu, t, S, u = np.empty(rows), np.empty(rows), np.empty((rows, rows)), np.empty((rows, n))
+        step(z[kind], glr, rules, nu, S, u, t)
+    if glr.ints[ACTIVE] == 0:
+        return bool(glr.ints[CALL] != GLR_NONE)
+    for i in range(n):
+        clean[kind, i] = z[kind, i] - glr.vec[REMOVED, i]
+        if glr.whole[STATE, i] == GLR_OPEN and member[i] > 0.0:
+            drift[i] = glr.vec[X, i]
+    return bool(glr.ints[CALL] != GLR_NONE or glr.ints[CHANGED] == 1)
+
+
+@jit
+def add_excess(glr: GlrState, member: F, W: F, excess: F) -> None:
+    """Covariance that the uncertainty of the drifts removed adds to that of the fused sample."""
+    n = member.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if glr.whole[STATE, i] == GLR_OPEN and glr.whole[STATE, j] == GLR_OPEN and member[i] * member[j] > 0.0:
+                for a in range(3):
+                    for b in range(3):
+                        excess[a, b] += W[a, i] * glr.mat[COV, i, j] * W[b, j]
+
+
+@jit
+def unresolved_long(glr: GlrState, rules: GlrRules) -> bool:
+    """An alarm has gone on for long and nobody is supposed to be its cause."""
+    return bool(glr.ints[DOUBT] == 1 and glr.ints[FIRST] == 0 and glr.ints[COUNT] - glr.ints[SINCE] > rules.doubt)
+
+
+@jit
 def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules: Rules, st: State) -> tuple[int, int, int]:
     """Fuse samples from number k on, writing from place o on, until the block ends or Python is needed.
 
@@ -257,7 +308,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
     z, why, x, key, slot, used, used_slot = st.z, st.why, st.x, st.key, st.slot, st.used, st.used_slot
     statistic, alarm, leave, pointed, doubt, doubt_last = st.statistic, st.alarm, st.leave, st.suspect, st.doubt, st.doubt_last
     verdict, wakes = st.verdict, st.wakes
-    dofs, w = tb.dof, tb.W
+    dofs, w, tested, clean = tb.dof, tb.W, st.tested, st.clean
     period, n = rules.status_period, st.z.shape[1]
     grid, nominal = rules.record, rules.period
     place_past, end, last, span, used_past, total = st.past.place, st.past.end, st.past.last, st.past.span, st.past.used, st.past.sum
@@ -295,13 +346,14 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             statistic[kind] = np.nan
             dof = dofs[kind, place]
             solved &= dof >= 0
+            known(kind, st.glr[kind], z, tested)
             if dof < 1:
                 continue
-            statistic[kind] = quadratic(kind, place, dof, tb.whitened, z)
+            statistic[kind] = quadratic(kind, place, dof, tb.whitened, tested)
             if statistic[kind] <= rules.threshold[dof]:
                 continue
             alarm[kind], i, j, pointed[kind] = resolve(
-                dof, statistic[kind], tb.whitened[kind, place], tb.gain[kind, place], tb.isolable[kind, place], z[kind], rules.threshold
+                dof, statistic[kind], tb.whitened[kind, place], tb.gain[kind, place], tb.isolable[kind, place], tested[kind], rules.threshold
             )
             if i < 0:
                 continue
@@ -325,10 +377,28 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
         if solved:
             for kind in range(2):
                 place = used_slot[kind]
+                for i in range(n):
+                    clean[kind, i] = z[kind, i]
+                    output.drift[kind, o, i] = 0.0
+                for a in range(9):
+                    output.excess[kind, o, a // 3, a % 3] = 0.0
+                if rules.compensates:
+                    glr, first = st.glr[kind], slot[kind]  # the filter learns only where nobody was left out: then both slots are one
+                    if learn(
+                        kind, alarm[kind], dofs[kind, first], tb.member[kind, first], z, glr, rules.glr[kind], clean,
+                        output.drift[kind, o],
+                    ):  # fmt: skip
+                        code |= EVENT
+                    if glr.ints[ACTIVE] == 1:
+                        add_excess(glr, tb.member[kind, place], w[kind, place], output.excess[kind, o])
+                    if unresolved_long(glr, rules.glr[kind]):
+                        doubt_last[kind] = t
+                        if doubt[kind] == 0:
+                            code |= EVENT
                 for a in range(3):
                     s = 0.0
                     for i in range(n):
-                        s += w[kind, place, a, i] * z[kind, i]
+                        s += w[kind, place, a, i] * clean[kind, i]
                     x[kind, a] = s
                     output.fused[kind, o, a] = s
                 output.used[kind, o] = used[kind]
@@ -346,7 +416,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
             if grid > 0:
-                note_past(t, grid, nominal, used[0], used[1], z, place_past, end, last, span, used_past, total)
+                note_past(t, grid, nominal, used[0], used[1], clean, place_past, end, last, span, used_past, total)
             output.stamp[o] = t
             output.sequence[o] = block.sequence[k]
             o += 1

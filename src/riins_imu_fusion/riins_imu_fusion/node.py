@@ -100,11 +100,12 @@ class ImuFusionNode(AutostartLifecycleNode):
 
     def _publish_fused(self, block: FusedBlock) -> None:
         stamp_ns, gyro_used, accel_used = int(block.stamp_ns[0]), int(block.gyro_used[0]), int(block.accel_used[0])
-        rate_covariance, force_covariance = self._pipeline.rate_covariance(gyro_used), self._pipeline.force_covariance(accel_used)
-        rate, force, drift = block.rate[0], block.force[0], self._pipeline.drift
+        rate_covariance = self._pipeline.rate_covariance(gyro_used) + block.gyro_excess[0]
+        force_covariance = self._pipeline.force_covariance(accel_used) + block.accel_excess[0]
+        rate, force, gyro_drift, accel_drift = block.rate[0], block.force[0], block.gyro_drift[0], block.accel_drift[0]
         angle, velocity, onset = (recalled[0] for recalled in block.recalled())
         fused = fields.fused_imu(
-            stamp_ns, int(block.sequence[0]), rate, force, rate_covariance, force_covariance, gyro_used, accel_used, drift[0], drift[1],
+            stamp_ns, int(block.sequence[0]), rate, force, rate_covariance, force_covariance, gyro_used, accel_used, gyro_drift, accel_drift,
             angle_recall=angle, velocity_recall=velocity, recall_onset_ns=int(onset),
         )  # fmt: skip
         self._publish("imu/fused", fused)

@@ -17,6 +17,7 @@ from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, TRIAD_CODE, Change, He
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.parity import Capability, glt_threshold
 from riins_imu_fusion import state as K
+from riins_imu_fusion.compensation import Compensation, drift
 from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.kernel import fuse_samples, note_sequence
 from riins_imu_fusion.recall import Recaller
@@ -71,6 +72,7 @@ class FusionPipeline:
         pfa = config.pfa()
         self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa)
         self._statuses_wanted = statuses
+        self._compensation = Compensation(config)
         max_delay = round(config.max_delay_s * 1e9)
         record_s = max(RECORD_S, 1.0 / config.rate_hz)
         self._records = RECORDS_SPARE * math.ceil(config.recall_window_s / record_s) + 1
@@ -86,8 +88,10 @@ class FusionPipeline:
             doubt_time=round(config.health.probation_s * 1e9),
             period=1.0 / config.rate_hz,
             record=round(record_s * 1e9) if config.recall_window_s > 0.0 else 0,
+            compensates=config.method == "glr_kf",
+            glr=self._compensation.rules,
         )
-        self._state = K.fresh_state(n, self._records)
+        self._state = K.fresh_state(n, self._records, self._compensation.fresh())
         self._recaller = Recaller(config, self.array, self._cache)
         self._recalls: list[Recall] = []
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
@@ -99,9 +103,6 @@ class FusionPipeline:
         self._statuses: list[FdiStatus] = []
         self._text: list[str] = []
         self._length_event_ns = ALWAYS_NS
-        self.drift: Array = np.zeros((2, n))
-        """Drift removed from each sensor, (kind, sensor) [rad/s, m/s^2]; this method, weighted least squares, removes none."""
-        self.drift.flags.writeable = False
         self._refresh_all()
 
     def process(
@@ -142,7 +143,7 @@ class FusionPipeline:
         m = block.stamp.size
         if any(a.shape[0] != m for a in block) or block.gyro.ndim != 2 or block.accel.ndim != 2:
             raise ValueError(f"the arrays of a block must have one row for each sample: {[a.shape for a in block]}")
-        out = K.Output(np.empty(m, np.int64), np.empty(m, np.uint32), np.empty((2, m, 3)), np.empty((2, m), np.uint64), np.empty((2, m)))
+        out = K.room(m, self.n)
         if block.gyro.shape[1] != self.n or block.accel.shape[1] != self.n:
             for t, s in zip(block.stamp.tolist(), block.sequence.tolist(), strict=True):
                 self.reject_length(t, s, block.gyro.shape[1], block.accel.shape[1])
@@ -235,6 +236,11 @@ class FusionPipeline:
         """Stamp of the last sample accepted; None before the first."""
         return int(self._state.clock[K.LAST]) if self._state.clock[K.HAVE] else None
 
+    @property
+    def drift(self) -> Array:
+        """Drift removed from each sensor after the last sample, (kind, sensor) [rad/s, m/s^2]; weighted least squares removes none."""
+        return np.stack([drift(glr) for glr in self._state.glr])
+
     def rate_covariance(self, mask: int) -> Array:
         """Covariance (3, 3) of the fused rate's white noise [(rad/s)^2], body FRD, when the gyros in `mask` are used."""
         return self._cache.noise_covariance(0, int(mask))
@@ -249,6 +255,7 @@ class FusionPipeline:
         valid = [(1 << self.n) - 1]
         other.process([0], [0], np.zeros((1, self.n)), np.zeros((1, self.n)), valid, valid)
         other.reject_length(1, 1, 0, 0)
+        self._compensation.warm_up()
 
     def _after_sample(self, code: int) -> None:
         st = self._state
@@ -257,6 +264,11 @@ class FusionPipeline:
             for kind, index in np.argwhere(st.wakes).tolist():
                 self._step(kind, index, t)
             st.wakes[:] = False
+            for kind, glr in enumerate(st.glr):
+                self._compensation.answer(kind, glr, self._cache.tables, int(st.slot[kind]))
+                for index, change, note in self._compensation.findings(kind, glr, self._machines[kind], t):
+                    self._refresh(kind, index)
+                    self._declare(kind, index, change, note)
             solved = int(self._solved())
             if solved != int(st.clock[K.SOLUTION]):
                 st.clock[K.SOLUTION] = solved
@@ -279,8 +291,11 @@ class FusionPipeline:
                 good, reason, note = False, int(Reason.PARITY), f", mean residual {mean:+.2f} sigma"
         change = machine.step(t, good, reason)
         self._refresh(kind, index)
-        if change is None:
-            return
+        if change is not None:
+            self._declare(kind, index, change, note)
+
+    def _declare(self, kind: int, index: int, change: Change, note: str) -> None:
+        st, t, reason = self._state, change.stamp_ns, change.reason
         if change.state is HealthState.ISOLATED and change.previous in IN_USE and reason in (Reason.PARITY, Reason.STUCK):
             stuck = int(st.repeat[kind, index]) if reason == Reason.STUCK else 0
             recall = self._recaller.recall(st.past, kind, index, t, stuck)  # other bad values never entered
@@ -299,7 +314,7 @@ class FusionPipeline:
 
     def _step_doubt(self, kind: int, t: int) -> None:
         st = self._state
-        unresolved = int(st.alarm[kind]) == K.UNRESOLVED
+        unresolved = int(st.alarm[kind]) == K.UNRESOLVED or self._compensation.doubts(kind, st.glr[kind])
         if unresolved and not st.doubt[kind]:
             st.doubt[kind] = 1
             test = self._cache.test(kind, int(st.key[kind]))
@@ -324,7 +339,7 @@ class FusionPipeline:
     def _restart(self, stamp_ns: int) -> None:
         """A stamp jumped: begin anew; only the operator's exclusions stay."""
         jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
-        old, self._state = self._state, K.fresh_state(self.n, self._records)
+        old, self._state = self._state, K.fresh_state(self.n, self._records, self._compensation.fresh())
         self._recaller.reset()
         self._state.counts[:] = old.counts
         self._state.counts[K.RESTARTS] += 1
@@ -361,6 +376,8 @@ class FusionPipeline:
     def _refresh(self, kind: int, index: int) -> None:
         st, machine = self._state, self._machines[kind][index]
         self._health[kind] = None
+        if st.base[kind, index] != machine.in_use:  # the filter goes over to the other set at the next sample
+            self._compensation.go_over(kind, st.glr[kind])
         st.base[kind, index] = machine.in_use
         st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
         st.wake[:, kind, index] = machine.wakes_at_ns()
@@ -397,7 +414,7 @@ class FusionPipeline:
             state=health.state,
             reason=health.reason,
             since_ns=health.since_ns,
-            drift=self.drift[kind],
+            drift=drift(st.glr[kind]),
             capability=self._cache.test(kind, health.in_use & tested).capability,  # of what can serve the next sample
             doubtful=bool(st.doubt[kind]),
             used=int(st.used[kind]),
@@ -407,4 +424,6 @@ class FusionPipeline:
 
 def _fused(out: K.Output, m: int, recalls: tuple[Recall, ...]) -> FusedBlock:
     (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
-    return FusedBlock(out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic, recalls)
+    columns = (out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
+    (gyro_drift, accel_drift), (gyro_excess, accel_excess) = out.drift[:, :m], out.excess[:, :m]
+    return FusedBlock(*columns, gyro_drift, accel_drift, gyro_excess, accel_excess, recalls)

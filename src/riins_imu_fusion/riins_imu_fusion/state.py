@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_fdi.health import NEVER_NS
+from riins_imu_fusion.glr_kf_state import GlrRules, GlrState
 
 F = NDArray[np.float64]
 I = NDArray[np.int64]  # noqa: E741
@@ -55,6 +56,16 @@ class Output(NamedTuple):
     fused: F  # (2, m, 3)
     used: U  # (2, m)
     statistic: F  # (2, m)
+    drift: F  # (2, m, n), removed
+    excess: F  # (2, m, 3, 3), covariance that their uncertainty adds
+
+
+def room(m: int, n: int) -> Output:
+    """Output of m samples of n sensors of each kind, not filled."""
+    whole, words = np.empty(m, np.int64), np.empty(m, np.uint32)
+    return Output(
+        whole, words, np.empty((2, m, 3)), np.empty((2, m), np.uint64), np.empty((2, m)), np.empty((2, m, n)), np.empty((2, m, 3, 3))
+    )  # fmt: skip
 
 
 class Rules(NamedTuple):
@@ -71,6 +82,8 @@ class Rules(NamedTuple):
     doubt_time: int  # ns
     period: float  # s, nominal
     record: int  # ns, length of a record of the past; 0: none is kept
+    compensates: bool  # method glr_kf
+    glr: tuple[GlrRules, GlrRules]
 
 
 class Tables(NamedTuple):
@@ -83,6 +96,8 @@ class Tables(NamedTuple):
     whitened: F  # (2, s, d, n)
     gain: F  # (2, s, n)
     isolable: B  # (2, s, n)
+    member: F  # (2, s, n), 1: in the set
+    V: F  # (2, s, d, n), parity matrix scaled to unit white noise
     reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
 
 
@@ -115,6 +130,8 @@ class State(NamedTuple):
     wakes: B
     left_out: I  # (2, n, 8)
     z: F  # measurements of the last sample, 0 where there is none
+    tested: F  # (2, n), measurements without the drifts known before
+    clean: F  # (2, n), without what is removed
     x: F  # (2, 3)
     key: U  # (2,), set tested
     slot: I  # (2,), its table
@@ -129,9 +146,10 @@ class State(NamedTuple):
     need: I  # (1,), kind of the table that is missing
     need_key: U  # (1,)
     past: Past
+    glr: tuple[GlrState, GlrState]
 
 
-def fresh_state(n: int, records: int) -> State:
+def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState]) -> State:
     """State before the first sample of n sensors of each kind, with room for `records` of the past."""
     def whole(*shape: int) -> NDArray[np.int64]:
         return np.zeros(shape, np.int64)
@@ -155,6 +173,8 @@ def fresh_state(n: int, records: int) -> State:
         wakes=np.zeros((2, n), np.bool_),
         left_out=whole(2, n, 8),
         z=np.zeros((2, n)),
+        tested=np.zeros((2, n)),
+        clean=np.zeros((2, n)),
         x=np.zeros((2, 3)),
         key=np.zeros(2, np.uint64),
         slot=whole(2),
@@ -176,4 +196,5 @@ def fresh_state(n: int, records: int) -> State:
             used=np.zeros((records, 2), np.uint64),
             sum=np.zeros((records, 2, n)),
         ),
+        glr=glr,
     )

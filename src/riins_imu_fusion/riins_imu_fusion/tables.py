@@ -61,8 +61,13 @@ class TableCache:
         t.whitened[kind, slot] = 0.0
         t.W[kind, slot] = 0.0
         t.reach[kind, slot] = 0.0
+        t.V[kind, slot] = 0.0
+        for i in range(self._array.n):
+            t.member[kind, slot, i] = float(mask >> i & 1)
         if test.dof >= 0:
             t.whitened[kind, slot, : test.dof] = test.whitened
+            if test.dof > 0:
+                t.V[kind, slot, : test.dof] = np.linalg.solve(np.linalg.cholesky((test.V * self._sigma[kind] ** 2) @ test.V.T), test.V)
             t.W[kind, slot] = self._array.least_squares(mask, self._total[kind])
             covariance = self._array.covariance(mask, self._total[kind])
             t.reach[kind, slot] = 1.0 / (self._total[kind] ** 2 + np.sum(self._array.H @ covariance * self._array.H, axis=1))
@@ -96,6 +101,8 @@ class TableCache:
             whitened=np.zeros((2, slots, d, n)),
             gain=np.zeros((2, slots, n)),
             isolable=np.zeros((2, slots, n), np.bool_),
+            member=np.zeros((2, slots, n)),
+            V=np.zeros((2, slots, d, n)),
             reach=np.zeros((2, slots, n)),
         )
 

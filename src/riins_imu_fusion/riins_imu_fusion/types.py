@@ -83,6 +83,8 @@ class FusedBlock(NamedTuple):
     force : (m, 3), m/s^2, specific force, body FRD
     gyro_used, accel_used : (m,) uint64, bit i set: sensor i entered this sample
     gyro_statistic, accel_statistic : (m,), GLT statistic of the sensors tested (before any is left out); NaN without redundancy
+    gyro_drift, accel_drift : (m, n), removed from each sensor
+    gyro_excess, accel_excess : (m, 3, 3), covariance that their uncertainty adds to that of the white noise, body FRD
     recalls : what is to be taken out of the integrals at some of these stamps
     """
 
@@ -94,6 +96,10 @@ class FusedBlock(NamedTuple):
     accel_used: NDArray[np.uint64]
     gyro_statistic: Array
     accel_statistic: Array
+    gyro_drift: Array
+    accel_drift: Array
+    gyro_excess: Array
+    accel_excess: Array
     recalls: tuple[Recall, ...] = ()
 
     def __len__(self) -> int:

@@ -11,6 +11,7 @@ import pytest
 from riins_core.imu_array import CONFIGURATIONS, ImuArray
 from riins_imu_fusion import glr_kf_state as G
 from riins_imu_fusion.glr_kf import GlrKalman, GlrSettings, alarm_threshold
+from riins_imu_fusion.glr_kf_kernel import dead
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.wls import WeightedLeastSquares
 
@@ -182,6 +183,28 @@ def test_an_isolated_sensor_is_forgotten_and_begins_anew() -> None:
     z[4000:, 3] -= 3.0
     out = method.process(z[4000:])
     assert method.open == () and abs(out.drift[-1, 3] - out.drift[-1].mean()) < 3.0
+
+
+def test_a_drift_that_goes_is_closed() -> None:
+    z = noise(12000, 14)
+    z[2000:3000, 1] += 3.0
+    method = GlrKalman(model(), GlrSettings(close_s=20.0))
+    method.process(z[:2900])
+    assert method.open == (1,)
+    out = method.process(z[2900:])
+    assert method.open == () and abs(out.drift[-1, 1] - out.drift[:50, 1].mean() + 3.0) < 0.5
+
+
+def test_a_sensor_too_noisy_or_too_far_is_dead() -> None:
+    for spoil, limit in ((lambda z: z + 3.0 * np.random.default_rng(1).standard_normal(len(z)), 50.0), (lambda z: z + 12.0, 10.0)):
+        z = noise(6000, 15)
+        z[2000:, 1] += 3.0
+        z[3000:, 1] = spoil(z[3000:, 1])
+        method = GlrKalman(model(), GlrSettings(drift_limit=limit))
+        method.process(z[:3000])
+        assert method.open == (1,) and not dead(method.state, method.rules, 1)
+        method.process(z[3000:])
+        assert dead(method.state, method.rules, 1) and not any(dead(method.state, method.rules, i) for i in (0, 2, 3, 4, 5))
 
 
 def test_cost() -> None:

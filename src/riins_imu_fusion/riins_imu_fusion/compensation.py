@@ -1,0 +1,98 @@
+"""What joins the filter `glr_kf` to the fusion pipeline: its settings and memory for both kinds of sensor, its findings as changes of health.
+
+Lives here: `Compensation`, which follows the filters with the health machines.
+Does not live here: the filter (glr_kf*.py), the samples (kernel.py), what is announced (pipeline.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_fdi.health import Change, HealthMachine
+from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.glr_kf import make_rules, make_state
+from riins_imu_fusion.glr_kf_kernel import dead
+from riins_imu_fusion.glr_kf_resolve import answer
+from riins_imu_fusion.glr_kf_state import CALL, CHANGED, NOISE, OPEN, OTHER_SET, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.kernel import unresolved_long
+from riins_imu_fusion.method import TriadModel
+from riins_imu_fusion.state import Tables
+from riins_imu_fusion.types import Reason
+
+_UNIT = ("rad/s", "m/s^2")
+
+
+class Compensation:
+    """The filters of gyros and accelerometers.
+
+    Parameters
+    ----------
+    config : settings; an ordinary bias that is not known is taken for as large as the noise of a sample
+
+    Attributes
+    ----------
+    rules : of gyros and accelerometers
+    """
+
+    def __init__(self, config: FusionConfig) -> None:
+        array, sigma = config.array(), config.sigma()
+        bias = (config.gyro_bias_sigma, config.accel_bias_sigma)
+        self._settings, self._wanted = config.glr, config.method == "glr_kf"
+        self._models = [TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz) for k in range(2)]
+        self.rules: tuple[GlrRules, GlrRules] = (make_rules(self._models[0], config.glr), make_rules(self._models[1], config.glr))
+
+    def fresh(self) -> tuple[GlrState, GlrState]:
+        """Memory before the first sample."""
+        return make_state(self._models[0], self._settings), make_state(self._models[1], self._settings)
+
+    def warm_up(self) -> None:
+        """Compile or load what answers the filter, if it is wanted at all."""
+        if self._wanted:
+            glr = self.fresh()[0]
+            glr.ints[CALL] = OTHER_SET
+            n = glr.vec.shape[1]
+            answer(glr, self.rules[0], np.zeros((0, n)), np.zeros(n))
+
+    def answer(self, kind: int, glr: GlrState, tables: Tables, slot: int) -> None:
+        """Do what the filter asks for after a sample of the set of sensors in `slot`."""
+        if glr.ints[CALL]:
+            V = tables.V[kind, slot, : tables.dof[kind, slot]]
+            answer(glr, self.rules[kind], V, tables.member[kind, slot])
+
+    def findings(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
+        """Step the health of the sensors the filter has opened, closed or found dead: (sensor, change, what to say of it)."""
+        if not glr.ints[CHANGED]:
+            return []
+        glr.ints[CHANGED] = 0
+        made = []
+        for index, machine in enumerate(machines):
+            if dead(glr, self.rules[kind], index):
+                change = machine.isolate(stamp_ns, int(Reason.PARITY))
+                note = (
+                    ", too noisy"
+                    if glr.vec[NOISE, index] > self.rules[kind].noise_limit
+                    else f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} too large"
+                )
+            elif glr.open[index] == OPEN:
+                change, note = machine.compensate(stamp_ns, int(Reason.PARITY)), f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} removed"
+            else:
+                change, note = machine.recover(stamp_ns), ""
+            if change is not None:
+                made.append((index, change, note))
+        return made
+
+    def doubts(self, kind: int, glr: GlrState) -> bool:
+        """An alarm of the filter has long been unresolved."""
+        return unresolved_long(glr, self.rules[kind])
+
+    def go_over(self, kind: int, glr: GlrState) -> None:
+        """Another set of sensors is in use: the filter goes over to it at the next sample."""
+        glr.ints[STRANGE] = self.rules[kind].patience
+
+
+def drift(glr: GlrState) -> NDArray[np.float64]:
+    """Drift removed from each sensor (n,)."""
+    return np.where((glr.open == OPEN) & (glr.vec[USED] > 0.0), glr.x, 0.0)
