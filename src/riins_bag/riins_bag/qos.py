@@ -44,6 +44,7 @@ NAMED = {
     "aid": Qos(history="keep_last", depth=50),
     "navigation": Qos(history="keep_last", depth=400),
     "latched": Qos(durability="transient_local", history="keep_last", depth=1),
+    "commands": Qos(durability="transient_local", history="keep_last", depth=100),
     "sensor_data": Qos(reliability="best_effort", history="keep_last", depth=5),
 }
 LATCHED_TOPICS = ("/riins/configuration", "/truth/faults", "/nav/initial_state", "/nav/origin")
@@ -58,6 +59,8 @@ def of_topic(topic: str) -> Qos:
     """Profile of a topic of our graph that is written without naming one."""
     if topic in LATCHED_TOPICS:
         return NAMED["latched"]
+    if topic == "/nav/commands":
+        return NAMED["commands"]
     return NAMED["imu" if topic == "/rimu/raw" else "navigation"]
 
 

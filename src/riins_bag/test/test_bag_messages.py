@@ -183,6 +183,20 @@ def test_writer_refusals(tmp_path: Path) -> None:
         bag.write_message("/a", EVENT, {}, 3)
 
 
+def test_excerpt_keeps_every_command_given_before_it(tmp_path: Path) -> None:
+    second = 1_000_000_000
+    with BagWriter(tmp_path / "bag", flush_period_s=0.0) as writer:
+        for k in range(10):
+            writer.write_message("/gps/fix", "sensor_msgs/msg/NavSatFix", {"header": {"stamp": EPOCH_NS + k * second}}, EPOCH_NS + k * second)
+        for k, target in ((1, "gyro_1"), (2, "gps"), (7, "bds"), (9, "doppler")):
+            command = {"header": {"stamp": EPOCH_NS + k * second}, "target": target}
+            writer.write_message("/nav/commands", "riins_msgs/msg/SensorUse", command, EPOCH_NS + k * second)
+    excerpt(tmp_path / "bag", tmp_path / "part", start_s=5.0, stop_s=8.0)
+    with BagReader(tmp_path / "part") as part:
+        assert [(m.target, m.use) for _, _, m in part.read(["/nav/commands"])] == [("gyro_1", False), ("gps", False), ("bds", False)]
+        assert part.topics["/gps/fix"].number == 3
+
+
 def test_excerpt_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
     bag = make_bag(tmp_path / "bag", 1000)
     assert excerpt(bag, tmp_path / "part", ["/rimu/*", "/riins/configuration"], 2.0, 5.0) == 301
