@@ -63,25 +63,25 @@ class Compensation:
             answer(glr, self.rules[kind], V, tables.member[kind, slot])
 
     def findings(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
-        """Step the health of the sensors the filter has opened, closed or found dead: (sensor, change, what to say of it)."""
-        if not glr.ints[CHANGED]:
-            return []
-        glr.ints[CHANGED] = 0
+        """Step the health of the sensors the filter has opened or closed after a sample: (sensor, change, what to say of it)."""
         made = []
         for index, machine in enumerate(machines):
-            if dead(glr, self.rules[kind], index):
-                change = machine.isolate(stamp_ns, int(Reason.PARITY))
-                note = (
-                    ", too noisy"
-                    if glr.vec[NOISE, index] > self.rules[kind].noise_limit
-                    else f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} too large"
-                )
-            elif glr.open[index] == OPEN:
+            if glr.open[index] == OPEN:
                 change, note = machine.compensate(stamp_ns, int(Reason.PARITY)), f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} removed"
             else:
                 change, note = machine.recover(stamp_ns), ""
             if change is not None:
                 made.append((index, change, note))
+        return made
+
+    def deaths(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
+        """Isolate the sensors the filter has found dead, before the sample of `stamp_ns`: it is the first without them."""
+        glr.ints[CHANGED] = 0
+        made = []
+        for index, machine in enumerate(machines):
+            if dead(glr, self.rules[kind], index) and (change := machine.isolate(stamp_ns, int(Reason.PARITY))) is not None:
+                noisy = glr.vec[NOISE, index] > self.rules[kind].noise_limit
+                made.append((index, change, ", too noisy" if noisy else f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} too large"))
         return made
 
     def doubts(self, kind: int, glr: GlrState) -> bool:

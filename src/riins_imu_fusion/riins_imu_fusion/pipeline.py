@@ -19,6 +19,7 @@ from riins_fdi.parity import Capability, glt_threshold
 from riins_imu_fusion import state as K
 from riins_imu_fusion.compensation import Compensation, drift
 from riins_imu_fusion.config import KINDS, FusionConfig
+from riins_imu_fusion.glr_kf_state import CHANGED
 from riins_imu_fusion.kernel import fuse_samples, note_sequence
 from riins_imu_fusion.recall import Recaller
 from riins_imu_fusion.tables import TableCache
@@ -266,9 +267,11 @@ class FusionPipeline:
             st.wakes[:] = False
             for kind, glr in enumerate(st.glr):
                 self._compensation.answer(kind, glr, self._cache.tables, int(st.slot[kind]))
-                for index, change, note in self._compensation.findings(kind, glr, self._machines[kind], t):
-                    self._refresh(kind, index)
-                    self._declare(kind, index, change, note)
+                if glr.ints[CHANGED]:
+                    for index, change, note in self._compensation.findings(kind, glr, self._machines[kind], t):
+                        self._refresh(kind, index)
+                        self._changed(kind, index, change, note)
+                    st.clock[K.NEXT_COMMAND] = t + 1  # the dead leave before the next sample
             solved = int(self._solved())
             if solved != int(st.clock[K.SOLUTION]):
                 st.clock[K.SOLUTION] = solved
@@ -291,11 +294,8 @@ class FusionPipeline:
                 good, reason, note = False, int(Reason.PARITY), f", mean residual {mean:+.2f} sigma"
         change = machine.step(t, good, reason)
         self._refresh(kind, index)
-        if change is not None:
-            self._declare(kind, index, change, note)
-
-    def _declare(self, kind: int, index: int, change: Change, note: str) -> None:
-        st, t, reason = self._state, change.stamp_ns, change.reason
+        if change is None:
+            return
         if change.state is HealthState.ISOLATED and change.previous in IN_USE and reason in (Reason.PARITY, Reason.STUCK):
             stuck = int(st.repeat[kind, index]) if reason == Reason.STUCK else 0
             recall = self._recaller.recall(st.past, kind, index, t, stuck)  # other bad values never entered
@@ -351,7 +351,12 @@ class FusionPipeline:
         self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"restart: the stamp jumped by {jump:+.3f} s")
 
     def _obey(self, stamp_ns: int) -> None:
-        """Carry out the commands whose time has come."""
+        """Carry out the commands whose time has come, and isolate what the filters have found dead."""
+        for kind, glr in enumerate(self._state.glr):
+            if glr.ints[CHANGED]:
+                for index, death, note in self._compensation.deaths(kind, glr, self._machines[kind], stamp_ns):
+                    self._refresh(kind, index)
+                    self._changed(kind, index, death, note)  # no recall: the filter has paid back what it put in
         while self._commands and self._commands[0].effective_ns <= stamp_ns:
             command = heapq.heappop(self._commands)
             machine = self._machines[command.kind][command.sensor]
