@@ -11,12 +11,15 @@ import numpy as np
 from riins_core.jit import jit
 
 from .glr_kf_filter import absorb, forget, free, log_moment, wander, whiten
+
+# isort: off
 from .glr_kf_state import (
     ACTIVE, ALARM, AT, BASE_COV, BASE_CROSS, BASE_SUM, BASE_TOTAL, BASE_X, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN,
     CROSS, CROSS_THEN, DOF, DONE, DOUBT, FILLED, FIRST, FLOOR2, JUMP, LEVEL, NOISE, NONE, OPEN, OPENED_AT, OTHER_SET, PAID, PRIOR2, SECOND,
     SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2, STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, TOTAL_THEN, USED, WALK, X_THEN, F, GlrRules,
     GlrState, X,
 )  # fmt: skip
+# isort: on
 
 # what is made of an alarm
 QUIET, OPENED, DOUBTFUL = 0, 1, 2
