@@ -24,6 +24,8 @@ from riins_core.settings import SettingError
 from riins_node.parameters import ParameterError, check_qos_names, parameter_file
 
 OK, FAILED, BAD_USE = 0, 1, 2
+WAKE_S = 0.5
+"""The executor looks for shutdown at least this often."""
 
 
 class StartError(RuntimeError):
@@ -122,7 +124,8 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
         started = True
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=WAKE_S)  # spin() waits without end, and a signal's wake-up can be lost between its check and its wait
         return OK
     except (KeyboardInterrupt, ExternalShutdownException):
         return OK
