@@ -140,8 +140,8 @@ class LiveRun:
         if missing := self._watcher.wait_for(consumers, READY_TIMEOUT_S, alive):
             raise GraphError(f"the graph was not ready after {READY_TIMEOUT_S:.0f} s: {missing[0]}")
         needed = time.monotonic() - began
-        # the sources need about as long to start as the listeners did; time begins when they are there
-        delay = min(max(4.0, 2.0 * needed), 20.0)
+        # the sources need about as long to start as the listeners did, and the recorder must have found them when time begins
+        delay = min(max(8.0, 3.0 * needed), 25.0)
         if self.graph.wall_stamps:
             # on a whole second, so that stamps read well and outputs on a grid of time fall on samples
             self.graph = self.graph.starting_at(math.ceil(time.time() + delay) * 1_000_000_000)

@@ -90,14 +90,6 @@ def test_an_interrupted_verb_says_so_and_leaves_no_bag(tmp_path, monkeypatch, ca
     assert capsys.readouterr().err == "riins: error: interrupted\n" and not (tmp_path / "bag").exists()
 
 
-def test_interrupted_while_it_imports_it_says_so(tmp_path):
-    # the interrupt comes inside an exec of text, after which Python would end by the signal
-    (tmp_path / "typer.py").write_text("import os, signal\nexec('os.kill(os.getpid(), signal.SIGINT)')\n")
-    code = f"import sys, runpy; sys.path.insert(0, {str(tmp_path)!r}); runpy.run_module('riins_bringup', run_name='__main__')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (1, "", "riins: error: interrupted\n")
-
-
 @pytest.mark.parametrize(("epochs", "status"), [(0, 1), (1, 0)])
 def test_a_run_of_which_nothing_was_scored_is_a_bad_result(tmp_path, monkeypatch, capsys, epochs, status):
     from riins_bringup import printing
