@@ -114,7 +114,7 @@ def test_dead_node_ends_the_run_and_is_named(toys):
 def test_table_in_a_terminal_and_stop_on_signal(toys):
     before = signal.getsignal(signal.SIGINT)
     out = io.StringIO()
-    timer = threading.Timer(7.0, lambda: [os.kill(os.getpid(), s) for s in (signal.SIGINT, signal.SIGINT, signal.SIGTERM)])
+    timer = threading.Timer(14.0, lambda: [os.kill(os.getpid(), s) for s in (signal.SIGINT, signal.SIGINT, signal.SIGTERM)])
     timer.start()
     summary = run_live(graph(duration_s=60.0), console=Console(file=out, force_terminal=True, width=150), directory=toys / "run")
     timer.cancel()
