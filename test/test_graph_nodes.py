@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,50 @@ def test_every_node_ends_with_status_0(scenario, raw_bag, tmp_path, signals):
         assert {name: processes.wait(name, 20.0) for name in processes.names} == dict.fromkeys(EXECUTABLES, 0)
         assert not any("Traceback" in line for name in processes.names for line in processes.tail(name, 200))
     assert (tmp_path / "bag/metadata.yaml").is_file()
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.05, 0.2, 0.5])
+def test_interrupt_while_python_imports_ends_with_status_0(scenario, raw_bag, tmp_path, delay_s):
+    specs = every_node(scenario, raw_bag, tmp_path / "bag")
+    with own_domain(tmp_path), Processes(tmp_path / "logs") as processes:
+        processes.start(*specs)
+        time.sleep(delay_s)
+        for name in processes.names:
+            processes.signal(name)
+        assert {name: processes.wait(name, 30.0) for name in processes.names} == dict.fromkeys(EXECUTABLES, 0)
+        said = {name: processes.tail(name, 200) for name in processes.names}
+    assert not any("Traceback" in line for lines in said.values() for line in lines), said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", ["gps", "recorder", "imu_fusion", "navigator"])
+def test_alone_it_can_be_interrupted_from_its_first_line_on(tmp_path, name, number):
+    with own_domain(tmp_path):
+        process = subprocess.Popen([find_executable(EXECUTABLES[name], name)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        deadline = time.monotonic() + 60.0
+        while not catches(process.pid, signal.SIGTERM):  # Python itself catches SIGINT alone
+            assert process.poll() is None and time.monotonic() < deadline
+            time.sleep(0.001)
+        process.send_signal(number)
+        assert process.communicate(timeout=60.0)[0] == ""
+    assert process.returncode == 0
+
+
+def test_interrupt_that_was_ignored_at_the_start_stays_ignored_while_importing(tmp_path):
+    with own_domain(tmp_path):
+        words = ["sh", "-c", 'trap "" INT; exec "$0" "$@"', find_executable("riins_sim", "gps"), "--print-parameters"]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        while process.poll() is None and not catches(process.pid, signal.SIGTERM):
+            time.sleep(0.001)
+        process.send_signal(signal.SIGINT)
+        assert "scenario" in process.communicate(timeout=60.0)[0]
+    assert process.returncode == 0
+
+
+def catches(pid: int, number: int) -> bool:
+    """Whether a process has a handler for a signal, as the kernel says."""
+    caught = next((line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("SigCgt")), "SigCgt: 0")
+    return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
 
 
 def run_all(tmp_path: Path, arguments: dict[str, list[str]]) -> dict[str, tuple[int, list[str]]]:

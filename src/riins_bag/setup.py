@@ -10,6 +10,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # not entry points: those import for 30 ms before a signal can be taken
+        (f"lib/{NAME}", ["scripts/recorder", "scripts/player"]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
@@ -18,10 +20,4 @@ setup(
     description="rosbag2/MCAP writing, reading and recovery; recorder and player nodes.",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "recorder = riins_bag.nodes.recorder:main",
-            "player = riins_bag.nodes.player:main",
-        ],
-    },
 )

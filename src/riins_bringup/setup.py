@@ -12,6 +12,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # not entry points: those import for 30 ms before a signal can be taken
+        (f"lib/{NAME}", ["scripts/riins"]),
         *((f"share/{NAME}/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in ("launch", "config", "scenarios")),
     ],
     install_requires=["setuptools"],
@@ -21,9 +23,4 @@ setup(
     description="The node graph as data, launch files, live launcher, parameters, scenarios and the riins command.",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "riins = riins_bringup.cli:main",
-        ],
-    },
 )

@@ -10,6 +10,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # not entry points: those import for 30 ms before a signal can be taken
+        (f"lib/{NAME}", ["scripts/imu_fusion"]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
@@ -18,9 +20,4 @@ setup(
     description="Fusion of redundant single-axis inertial sensors with fault detection, isolation and return.",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "imu_fusion = riins_imu_fusion.node:main",
-        ],
-    },
 )

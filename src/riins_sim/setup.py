@@ -10,6 +10,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        # not entry points: those import for 30 ms before a signal can be taken
+        (f"lib/{NAME}", ["scripts/rimu", "scripts/gps", "scripts/bds", "scripts/doppler", "scripts/truth"]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
@@ -18,13 +20,4 @@ setup(
     description="The simulated ship: scenario, trajectory, waves, redundant IMU, GPS, BDS, Doppler log, faults; one node each.",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={
-        "console_scripts": [
-            "rimu = riins_sim.nodes.rimu:main",
-            "gps = riins_sim.nodes.gps:main",
-            "bds = riins_sim.nodes.bds:main",
-            "doppler = riins_sim.nodes.doppler:main",
-            "truth = riins_sim.nodes.truth:main",
-        ],
-    },
 )

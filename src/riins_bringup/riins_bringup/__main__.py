@@ -28,7 +28,9 @@ def run() -> int:
         from riins_bringup.cli import main
 
         status = main()
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not (_interrupted or isinstance(error, KeyboardInterrupt)):  # Python 3.11 wraps one that comes while a class is made
+            raise
         print("riins: error: interrupted", file=sys.stderr)
         status = 1
     if _interrupted:  # Python ends by SIGINT when the interrupt came inside an exec of text, though it was caught

@@ -124,9 +124,14 @@ class Processes:
             command = [*_tied_to_parent(self.environment), str(executable), *spec.arguments(write_files(spec, self.directory))]
             with open(self.log(spec.name), "ab") as log:
                 # an own session: Ctrl-C in the terminal reaches the launcher alone, which stops the nodes in order
-                self._running[spec.name] = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment, start_new_session=True
-                )
+                # SIGINT waits until the node can take it (riins_node.entry): Python alone dies of one that comes while it starts
+                mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                try:
+                    self._running[spec.name] = subprocess.Popen(
+                        command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment, start_new_session=True
+                    )
+                finally:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             self._specs[spec.name] = spec
 
     def log(self, name: str) -> Path:
@@ -187,7 +192,6 @@ class Processes:
                 waiting = [n for n in waiting if self.alive(n)]
             if not waiting:
                 return
-
 
 
 def _tied_to_parent(environment: Mapping[str, str]) -> list[str]:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import types
 
+import numpy as np
 import pytest
 
 from riins_bringup.cli import main
@@ -90,6 +91,18 @@ def test_an_interrupted_verb_says_so_and_leaves_no_bag(tmp_path, monkeypatch, ca
     assert capsys.readouterr().err == "riins: error: interrupted\n" and not (tmp_path / "bag").exists()
 
 
+def test_an_interrupt_that_an_import_turns_into_another_error_is_one_line():
+    code = (
+        "import os, signal, sys, riins_bringup.cli as cli, riins_bringup.__main__ as entry\n"
+        "def main():\n"
+        "    try: os.kill(os.getpid(), signal.SIGINT); signal.sigtimedwait([], 5)\n"
+        "    except KeyboardInterrupt: raise RuntimeError('calling __set_name__')\n"
+        "cli.main = main; sys.exit(entry.run())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "riins: error: interrupted\n")
+
+
 @pytest.mark.parametrize(("epochs", "status"), [(0, 1), (1, 0)])
 def test_a_run_of_which_nothing_was_scored_is_a_bad_result(tmp_path, monkeypatch, capsys, epochs, status):
     from riins_bringup import printing
@@ -124,13 +137,61 @@ def test_geometry_of_the_thesis(capsys, tmp_path):
 def test_geometry_of_a_file(tmp_path, capsys):
     path = tmp_path / "axes.txt"
     path.write_text("# forward, starboard, down\n1 0 0\n0, 1, 0\n0 0 1\n0.57735026919 0.57735026919 0.57735026919\n")
-    assert main(["geometry", str(path)]) == 0
+    assert main(["geometry", str(path), "--survivors", "4", "--json", str(tmp_path / "g.json")]) == 0
     assert "4 sensors" in capsys.readouterr().out
-    for text, message in (("1 0 0\n0 1 0\n", "3 <= n"), ("1 0 0\n0 1 0\n0 0 2\n", "sensor 3"), ("1 0 0\n0 1\n0 0 1\n", ""), ("a b c\n", "a")):
+    figures = json.loads((tmp_path / "g.json").read_text())
+    assert figures["coherence"] == pytest.approx(3.0**-0.5)
+    assert figures["reliability"] == {"4": {"theta": 0.75, "figure": 0.1875}}
+    one = figures["isolation"][1]
+    assert one["sigma_worst"] == pytest.approx((3.0 + 6.0**0.5) ** 0.5) and one["alike"] == 3 and one["sensors"] == [0]  # an axis, not the diagonal
+    for text, message in (("1 0 0\n0 1 0\n", "3 <= n"), ("1 0 0\n0 1 0\n0 0 2\n", "sensor 3"), ("1 0 0\n0 1\n0 0 1\n", "row 2"), ("a 0 c\n", "a")):
         path.write_text(text)
         assert main(["geometry", str(path)]) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1 and message in error and "axes.txt" in error
+    assert main(["geometry", "--survivors", "2"]) == 2
+    assert "3 to 64" in capsys.readouterr().err
+
+
+def test_geometry_files_of_every_kind(tmp_path, capsys):
+    from riins_bringup.geometry_file import read_geometry
+    from riins_core.imu_array import dodecahedron
+
+    axes = dodecahedron()
+    rows = axes.tolist()
+    (tmp_path / "a.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, row)) for row in rows))
+    (tmp_path / "b.yaml").write_text(json.dumps(rows))
+    (tmp_path / "c.yml").write_text("rate_hz: 100\ngeometry: " + json.dumps(rows))
+    np.savez(tmp_path / "d.npz", t=np.zeros(7), mounting=axes)
+    np.savez(tmp_path / "e.npz", H=axes, other=np.zeros((4, 3)))
+    np.save(tmp_path / "f.npy", axes)
+    for name in ("a.csv", "b.yaml", "c.yml", "d.npz", "e.npz", "f.npy"):
+        np.testing.assert_allclose(read_geometry(tmp_path / name).H, axes, atol=1e-15)
+    np.savez(tmp_path / "g.npz", a=axes, b=axes)
+    np.save(tmp_path / "h.npy", axes.T)
+    np.save(tmp_path / "o.npy", np.array([{}], dtype=object))
+    (tmp_path / "i.npz").write_text("no archive")
+    (tmp_path / "j.yaml").write_text("axes: [[1, 0, 0], [0, 1, 0], [0, 0, x]]")
+    (tmp_path / "k.yaml").write_text("axes: {a: 1}")
+    (tmp_path / "l.yaml").write_text("- [1, 0\n")
+    (tmp_path / "m.csv").write_bytes(b"\xff\xfe\x00")
+    for name in ("g.npz", "h.npy", "i.npz", "j.yaml", "k.yaml", "l.yaml", "m.csv", "o.npy"):
+        assert main(["geometry", str(tmp_path / name)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and name in error
+
+
+def test_geometry_is_drawn_with_the_lost_axis_named(tmp_path, monkeypatch):
+    from matplotlib.figure import Figure
+
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda canvas, path, **_: drawn.append(canvas))
+    assert main(["geometry", "--plot", str(tmp_path / "g.png")]) == 0
+    axes = drawn[0].axes
+    assert len(axes) == 9
+    assert [len(a.lines) for a in axes] == [4] * 6 + [3] * 3 and "orthogonal" in axes[6].get_xlabel()
+    np.testing.assert_allclose(axes[0].lines[0].get_ydata(), 0.5**0.5, rtol=1e-12)  # six sensors evenly: the same everywhere
+    assert axes[6].lines[0].get_ydata().max() <= 1.345  # no direction is worse than the table says
 
 
 @pytest.mark.parametrize(("ok", "status"), [(True, 0), (False, 1), (None, 0)])

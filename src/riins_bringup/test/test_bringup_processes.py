@@ -22,6 +22,7 @@ from riins_bringup.processes import GraphError, Processes, find_executable, node
 WELL_BEHAVED = """
 import signal, sys, time
 signal.signal(signal.SIGINT, lambda *_: (open(sys.argv[-1] + ".stopped", "w").write(str(time.time())), sys.exit(0)))
+signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 print("up", flush=True)
 while True: time.sleep(0.01)
 """

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from riins_core.settings import SettingError
+from riins_node import entry
 from riins_node.parameters import ParameterError, check_qos_names, parameter_file
 
 OK, FAILED, BAD_USE = 0, 1, 2
@@ -112,6 +113,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
         if unknown:
             raise ParameterError(f'unknown argument "{unknown[0]}" (parameters go behind --ros-args -p NAME:=VALUE)')
         rclpy.init(args=args)
+        entry.node_runs()
         initialised = True
         node = factory()
         if show:
