@@ -60,19 +60,33 @@ TwinsOption = Annotated[
 @app.command()
 def geometry(
     file: Annotated[
-        Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row (blanks or commas, # comments)", metavar="[FILE]")
+        Path | None, typer.Argument(help="n x 3 numbers, one unit sensing axis a row: text, .csv, .yaml, .npz or .npy", metavar="[FILE]")
     ] = None,
+    survivors: Annotated[list[int] | None, typer.Option(help="sensors that must work, for the reliability; repeatable (default: 3, 4 and 5)")] = None,
+    plot: Annotated[Path | None, typer.Option(help="draw the accuracy by direction to this PNG file", metavar="FILE", callback=writable_file)] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the figures to this file", metavar="FILE", callback=writable_file)] = None,
 ) -> int:
     """Figures of merit of sensor geometries: the thesis' tables 2.1 to 2.3, or those of your own n x 3 file.
 
-    Example: [bold]riins geometry[/bold] or [bold]riins geometry my_axes.txt[/bold]
+    Example: [bold]riins geometry --plot accuracy.png[/bold] or [bold]riins geometry my_axes.csv --survivors 4[/bold]
     """
-    from riins_bringup.geometry import describe_file, describe_thesis
+    from riins_bringup.geometry import SURVIVORS, describe_geometry, describe_thesis
+    from riins_core.imu_array import CONFIGURATIONS, ImuArray
 
-    tables, figures = describe_file(file) if file is not None else describe_thesis()
+    if file is None:
+        arrays = {name: ImuArray(H) for name, H in CONFIGURATIONS.items()}
+        tables, figures = describe_thesis(survivors or SURVIVORS)
+    else:
+        from riins_bringup.geometry_file import read_geometry
+
+        arrays = {file.name: read_geometry(file)}
+        tables, figures = describe_geometry(file.name, arrays[file.name], survivors or SURVIVORS)
     for table in tables:
         _console().print(table)
+    if plot is not None:
+        from riins_bringup.geometry_plot import draw_accuracy
+
+        draw_accuracy(arrays, plot)
     _write_json(json_file, figures)
     return OK
 

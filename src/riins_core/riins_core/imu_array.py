@@ -1,12 +1,11 @@
 """N single-axis inertial sensors: geometry H, parity matrix V, least squares, and the figures of merit of a configuration.
 
 Lives here: the four six-sensor configurations of the thesis, any n x 3 geometry, tables 2.1 to 2.3 as plain data.
-Does not live here: fault detection on the parity vector (riins_fdi.parity), weighting by noise that is estimated (riins_imu_fusion).
+Does not live here: what is left when sensors are isolated (survivors), fault detection (riins_fdi.parity), estimated noise (riins_imu_fusion).
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -288,54 +287,6 @@ def table_2_3() -> list[CoherenceRow]:
     values = {name: ImuArray(CONFIGURATIONS[name]).coherence() for name in ("orthogonal", "cone1", "cone2", "dodecahedron")}
     least = min(values.values())
     return [CoherenceRow(name, value, value == least) for name, value in values.items()]
-
-
-class IsolationRow(NamedTuple):
-    """Accuracy left after isolating the worst choice of sensors."""
-
-    isolated: int
-    """number of sensors taken out"""
-    gdop: float
-    """largest GDOP of any choice; inf when a choice leaves fewer than three axes"""
-    sigma_worst: float
-    """largest standard deviation in any direction, in units of one sensor's sigma; inf likewise"""
-    accuracy_figure: float
-    """least J_p of any choice"""
-    singular: int
-    """choices that leave fewer than three axes"""
-    choices: int
-
-
-def worst_case_after_isolation(array: ImuArray, isolated: tuple[int, ...] = (0, 1, 2, 3)) -> list[IsolationRow]:
-    """Worst accuracy over every choice of sensors taken out.
-
-    Parameters
-    ----------
-    array : the geometry
-    isolated : numbers of sensors taken out
-
-    Returns
-    -------
-    one row for each number
-    """
-    rows = []
-    for count in isolated:
-        if not 0 <= count <= array.n - 3:
-            raise ValueError(f"cannot isolate {count} of {array.n} sensors and keep three")
-        worst = [0.0, 0.0, math.inf]
-        singular = choices = 0
-        for out in itertools.combinations(range(array.n), count):
-            h = np.delete(array.H, out, axis=0)
-            choices += 1
-            if _rank(h) < 3:
-                singular += 1
-                worst = [math.inf, math.inf, 0.0]
-                continue
-            p = np.linalg.inv(h.T @ h)
-            sigma = math.sqrt(float(np.linalg.eigvalsh(p)[-1]))
-            worst = [max(worst[0], math.sqrt(float(np.trace(p)))), max(worst[1], sigma), min(worst[2], float(np.linalg.det(h.T @ h)))]
-        rows.append(IsolationRow(count, worst[0], worst[1], worst[2], singular, choices))
-    return rows
 
 
 def _rank(h: Array) -> int:

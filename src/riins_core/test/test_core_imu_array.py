@@ -1,7 +1,5 @@
 """Redundant geometry: tables 2.1 to 2.3 of the thesis to 1e-4 (target 1), parity and least-squares identities, refused geometries."""
 
-import itertools
-
 import numpy as np
 import pytest
 import scipy.integrate
@@ -82,23 +80,6 @@ def test_a_rounded_dodecahedron_angle_leaks_gravity_into_parity():
     rounded = np.array([[s, 0, c], [-s, 0, c], [c, s, 0], [c, -s, 0], [0, c, s], [0, c, -s]])
     leak = np.linalg.norm(ia.ImuArray(ia.dodecahedron()).parity() @ rounded, axis=0)
     assert np.max(leak) == pytest.approx(431e-6, abs=5e-6)
-
-
-def test_worst_case_after_isolation():
-    rows = {name: ia.worst_case_after_isolation(ia.ImuArray(h)) for name, h in ia.CONFIGURATIONS.items()}
-    for table in rows.values():
-        assert table[0].sigma_worst == pytest.approx(np.sqrt(0.5))
-        assert table[1].sigma_worst == pytest.approx(1.0)  # any tight frame loses half of one direction's information
-        assert table[1].gdop == pytest.approx(np.sqrt(2.0))
-        assert [r.choices for r in table] == [1, 6, 15, 20]
-        assert all(a.gdop <= b.gdop for a, b in itertools.pairwise(table))
-    assert [r.singular for r in rows["dodecahedron"]] == [0, 0, 0, 0]
-    assert [r.singular for r in rows["orthogonal"]] == [0, 0, 3, 12]
-    assert rows["orthogonal"][2].gdop == np.inf
-    assert min(rows, key=lambda n: rows[n][2].gdop) == "dodecahedron"
-    assert rows["dodecahedron"][2].gdop == pytest.approx(np.sqrt(3.0))
-    with pytest.raises(ValueError, match="isolate 4 of 6"):
-        ia.worst_case_after_isolation(ia.ImuArray(ia.dodecahedron()), (4,))
 
 
 @pytest.mark.parametrize("name", SIX)

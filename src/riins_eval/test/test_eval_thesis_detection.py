@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure as Canvas
@@ -29,27 +27,6 @@ def test_chapter_2() -> None:
         canvas = Canvas()
         figure.draw(canvas)
         assert canvas.axes
-
-
-def test_geometry_from_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "tetrad.txt"
-    file.write_text("# three axes and a fourth\n1 0 0\n0, 1, 0\n0 0 1\n0.57735027 0.57735027 0.57735027  # the diagonal\n", encoding="utf-8")
-    rows = thesis_configuration.describe("tetrad", thesis_configuration.load_geometry(file))
-    assert rows[2].value == pytest.approx(1.0 / np.sqrt(3.0)) and rows[4].value == pytest.approx(np.sqrt(3.0 + np.sqrt(6.0)))
-    for text, message in (("1 0\n", "three numbers"), ("", "three numbers"), ("1 0 x\n", "could not convert"), ("1 0 0\n0 2 0\n0 0 1\n", "length 2")):
-        file.write_text(text, encoding="utf-8")
-        with pytest.raises(ValueError, match=message):
-            thesis_configuration.load_geometry(file)
-
-
-def test_worst_sigma_bounds_every_direction() -> None:
-    array = thesis_detection.ARRAY
-    directions = np.random.default_rng(1).standard_normal((500, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    none = thesis_configuration.worst_sigma(array, directions, 0)
-    np.testing.assert_allclose(none, np.sqrt(0.5), atol=1e-12)  # H'H = 2 I: the same everywhere
-    two = thesis_configuration.worst_sigma(array, directions, 2)
-    assert np.all(two >= none) and two.max() <= 1.345 and two.max() > 1.3
 
 
 def test_tables_4_1_and_4_2() -> None:

@@ -1,23 +1,22 @@
 """Thesis chapter 2: how many sensors, and how they are mounted; tables 2.1 to 2.3 and what is left when sensors are isolated.
 
-Lives here: the rows and figures of the configuration study, for the thesis' geometries and for any other from a file.
-Does not live here: the figures of merit themselves (riins_core.imu_array).
+Lives here: the rows and figures of the configuration study for the thesis' geometries.
+Does not live here: the figures of merit (riins_core.imu_array, riins_core.survivors), other geometries (`riins geometry FILE`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from riins_core.imu_array import CONFIGURATIONS, ImuArray, cone1, cone2, table_2_1, table_2_3, worst_case_after_isolation
+from riins_core.imu_array import CONFIGURATIONS, ImuArray, cone1, cone2, table_2_1, table_2_3
+from riins_core.survivors import worst_case_after_isolation, worst_sigma_by_direction
 from riins_eval.studies.rows import Figure, Progress, Row, row
 
 Array = NDArray[np.float64]
@@ -27,28 +26,6 @@ PRINTED_THETA = (1, 1.75, 2.35, 2.85, 3.2786, 3.6536, 3.9869, 4.2869, 4.5596, 4.
 PRINTED_COHERENCE = {"orthogonal": 1.0, "cone1": 0.6667, "cone2": 0.5774, "dodecahedron": 0.4472}
 PRINTED_ANGLE = {"cone1": 54.7356, "cone2": 35.7356}
 _ISOLATED = (1, 2, 3)
-
-
-def load_geometry(path: Path | str) -> ImuArray:
-    """A geometry from a text file: one sensing axis a line, three numbers separated by blanks or commas, # begins a comment.
-
-    Raises
-    ------
-    ValueError
-        The file does not hold an n x 3 geometry of unit axes that span space.
-    """
-    text = Path(path).read_text(encoding="utf-8").replace(",", " ")
-    lines = [line.split("#")[0].split() for line in text.splitlines()]
-    try:
-        axes = [[float(word) for word in line] for line in lines if line]
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    if not axes or any(len(axis) != 3 for axis in axes):
-        raise ValueError(f"{path}: a geometry has three numbers a line")
-    try:
-        return ImuArray(axes)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def describe(name: str, array: ImuArray) -> list[Row]:
@@ -71,20 +48,6 @@ def best_angle(cone: Any) -> float:
     """Inclination [deg] of a cone configuration that makes J_p largest, found by searching."""
     found = minimize_scalar(lambda a: -ImuArray(cone(a)).accuracy_figure(), bounds=(0.1, 1.5), method="bounded", options={"xatol": 1e-10})
     return math.degrees(found.x)
-
-
-def worst_sigma(array: ImuArray, directions: Array, isolated: int) -> Array:
-    """Largest standard deviation along each direction over every choice of `isolated` sensors, in units of one sensor's sigma; inf where lost."""
-    worst = np.zeros(len(directions))
-    for out in itertools.combinations(range(array.n), isolated):
-        use = np.ones(array.n, dtype=bool)
-        use[list(out)] = False
-        try:
-            p = array.covariance(use)
-        except ValueError:
-            return np.full(len(directions), np.inf)
-        worst = np.maximum(worst, np.sqrt(np.einsum("ki,ij,kj->k", directions, p, directions)))
-    return worst
 
 
 def run(seeds: int, quick: bool, progress: Progress) -> tuple[list[Row], list[Figure]]:
@@ -168,7 +131,7 @@ def _draw_directions(canvas: Any) -> None:
     for i, (plane, directions) in enumerate(planes.items()):
         for ax, (name, H) in zip(axes[i], CONFIGURATIONS.items(), strict=True):
             for isolated in (0, 1, 2, 3):
-                sigma = worst_sigma(ImuArray(H), directions, isolated)
+                sigma = worst_sigma_by_direction(ImuArray(H), directions, isolated)
                 if np.all(np.isfinite(sigma)):
                     ax.plot(turn, sigma, label=f"{isolated} isolated")
             ax.set_title(f"{name}, {plane}")
