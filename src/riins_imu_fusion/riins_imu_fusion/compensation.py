@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from riins_fdi.health import Change, HealthMachine
 from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.corrections import unresolved_long
 from riins_imu_fusion.glr_kf import make_rules, make_state
 from riins_imu_fusion.glr_kf_kernel import dead
 from riins_imu_fusion.glr_kf_resolve import answer
 from riins_imu_fusion.glr_kf_state import CALL, CHANGED, NOISE, OPEN, OTHER_SET, STRANGE, USED, GlrRules, GlrState
-from riins_imu_fusion.kernel import unresolved_long
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.state import Tables
 from riins_imu_fusion.types import Reason

@@ -20,8 +20,9 @@ from riins_imu_fusion import state as K
 from riins_imu_fusion.compensation import Compensation, drift
 from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.glr_kf_state import CHANGED
-from riins_imu_fusion.kernel import fuse_samples, note_sequence
+from riins_imu_fusion.kernel import fuse_samples
 from riins_imu_fusion.recall import Recaller
+from riins_imu_fusion.samples import note_sequence
 from riins_imu_fusion.tables import TableCache
 from riins_imu_fusion.types import REASON_WORDS, CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
 

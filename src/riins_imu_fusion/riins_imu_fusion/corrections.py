@@ -1,0 +1,67 @@
+"""What is taken out of the readings before least squares: the drifts that a filter on the parity vector has found.
+
+Lives here: the kernels by which the fusion loop asks the filter of each kind of sensor, lets it learn, and adds its uncertainty.
+Does not live here: the filters (glr_kf_kernel.py), the loop (kernel.py), what follows from their findings (compensation.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from riins_core.jit import jit
+from riins_imu_fusion.glr_kf_kernel import hold, other_set, step
+
+# isort: off
+from riins_imu_fusion.glr_kf_state import (
+    ACTIVE, CALL, CHANGED, COUNT, COV, DOUBT, FIRST, NONE, OPEN, REMOVED, SINCE, STATE, USED, GlrRules, GlrState, X,
+)  # fmt: skip
+
+# isort: on
+from riins_imu_fusion.state import QUIET, F
+
+
+@jit
+def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
+    """Measurements without the drifts known before this sample."""
+    for i in range(z.shape[1]):
+        tested[kind, i] = z[kind, i]
+        if glr.ints[ACTIVE] == 1 and glr.vec[USED, i] > 0.0:
+            tested[kind, i] -= glr.vec[X, i]
+
+
+@jit
+def learn(
+    kind: int, alarm: int, dof: int, member: F, z: F, glr: GlrState, rules: GlrRules, clean: F, drift: F
+) -> bool:  # fmt: skip
+    """Let the filter see the sample and take the drifts from it; True: it asks for an answer, or a sensor was closed or found dead."""
+    n, rows = z.shape[1], glr.V.shape[0]
+    if alarm != QUIET or dof < 1:
+        hold(glr)  # not even the sensors in use agree: nothing to learn
+    elif not other_set(glr, rules, member):
+        nu, t, S, u = np.empty(rows), np.empty(rows), np.empty((rows, rows)), np.empty((rows, n))
+        step(z[kind], glr, rules, nu, S, u, t)
+    if glr.ints[ACTIVE] == 0:
+        return bool(glr.ints[CALL] != NONE)
+    for i in range(n):
+        clean[kind, i] = z[kind, i] - glr.vec[REMOVED, i]
+        if glr.whole[STATE, i] == OPEN and member[i] > 0.0:
+            drift[i] = glr.vec[X, i]
+    return bool(glr.ints[CALL] != NONE or glr.ints[CHANGED] == 1)
+
+
+@jit
+def add_excess(glr: GlrState, member: F, W: F, excess: F) -> None:
+    """Covariance that the uncertainty of the drifts removed adds to that of the fused sample."""
+    n = member.shape[0]
+    for i in range(n):
+        for j in range(n):
+            if glr.whole[STATE, i] == OPEN and glr.whole[STATE, j] == OPEN and member[i] * member[j] > 0.0:
+                for a in range(3):
+                    for b in range(3):
+                        excess[a, b] += W[a, i] * glr.mat[COV, i, j] * W[b, j]
+
+
+@jit
+def unresolved_long(glr: GlrState, rules: GlrRules) -> bool:
+    """An alarm has gone on for long and nobody is supposed to be its cause."""
+    return bool(glr.ints[DOUBT] == 1 and glr.ints[FIRST] == 0 and glr.ints[COUNT] - glr.ints[SINCE] > rules.doubt)
