@@ -25,6 +25,7 @@ from riins_bag.chunks import INDEX_DTYPE, MAGIC, MESSAGE, decompress, walk_chunk
 from riins_bag.errors import BagError
 
 CACHE_BYTES = 32 * 1024 * 1024  # of uncompressed chunks kept by each file
+_SQLITE = b"SQLite format 3\0"
 _INDEX_PREFIX = 9 + 2 + 4  # opcode, length, channel, bytes of the entries
 
 
@@ -45,11 +46,12 @@ def locate(path: Path) -> tuple[list[Path], dict[str, Any]]:
     if yaml_file.is_file():
         try:
             information = dict(yaml.safe_load(yaml_file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"])
+            information["relative_file_paths"] = [str(name) for name in information["relative_file_paths"]]
         except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError):
             information = {}  # the .mcap has all that is needed
     found = sorted(path.glob("*.mcap"))
-    if information.get("storage_identifier", "mcap") != "mcap" or (not found and list(path.glob("*.db3"))):
-        raise BagError(f"{path} is a sqlite3 bag; make an MCAP of it: rosbags-convert --src {path} --dst NEW --dst-storage mcap")
+    if information.get("storage_identifier", "mcap") != "mcap":
+        raise BagError(_sqlite(path))
     if str(information.get("compression_mode", "")).lower() == "file":
         raise BagError(f"{path} has files compressed as a whole; unpack them with `zstd -d` and `ros2 bag reindex`")
     listed = [path / Path(name).name for name in information.get("relative_file_paths", [])]
@@ -57,8 +59,24 @@ def locate(path: Path) -> tuple[list[Path], dict[str, Any]]:
     if missing:
         raise BagError(f"{path} lacks {', '.join(missing)}, which its metadata.yaml names")
     if not (listed or found):
-        raise BagError(f"{path} is not a bag: there is no .mcap file in it")
+        raise BagError(other_storage(path))
     return listed or found, information
+
+
+def other_storage(path: Path) -> str:
+    """One line about a directory without .mcap files: a sqlite3 bag and what to do with it, or no bag."""
+    return _sqlite(path) if list(path.glob("*.db3")) else f"{path} is not a bag: there is no .mcap file in it"
+
+
+def not_mcap(path: Path) -> str:
+    """One line about a file that does not begin as MCAP does."""
+    with path.open("rb") as stream:
+        sqlite = stream.read(len(_SQLITE)) == _SQLITE
+    return f"{path} is not an MCAP file" + (f"; {_sqlite(path.parent)}" if sqlite else "")
+
+
+def _sqlite(path: Path) -> str:
+    return f"{path} is a sqlite3 bag; make an MCAP of it: rosbags-convert --src {path} --dst NEW --dst-storage mcap"
 
 
 class McapFile:
@@ -123,9 +141,7 @@ class McapFile:
         """Log times and offsets of one channel's messages in a chunk, from the message index or, without one, by walking."""
         offset = index.message_index_offsets.get(key)
         if offset is not None:
-            self.stream.seek(offset)
-            head = self.stream.read(_INDEX_PREFIX)
-            entries = np.frombuffer(self.stream.read(int.from_bytes(head[11:15], "little")), INDEX_DTYPE)
+            entries = self._index_entries(offset, index, key, data)
         elif index.message_index_offsets:
             entries = np.empty(0, INDEX_DTYPE)
         else:
@@ -134,12 +150,28 @@ class McapFile:
             entries = np.array([(head[4], at) for head, at in heads if head[2] == key], INDEX_DTYPE)
         return entries["log_time"].astype(np.int64), entries["offset"].astype(np.int64)
 
+    def _index_entries(self, offset: int, index: ChunkIndex, key: int, data: NDArray[np.uint8]) -> NDArray[Any]:
+        """One MessageIndex record, which has no checksum: its entries must lie in the chunk's time and, where `data` is given, on messages."""
+        self.stream.seek(offset)
+        head = self.stream.read(_INDEX_PREFIX)
+        body = self.stream.read(int.from_bytes(head[11:15], "little"))
+        good = head[:1] == Opcode.MESSAGE_INDEX.to_bytes() and int.from_bytes(head[9:11], "little") == key and not len(body) % INDEX_DTYPE.itemsize
+        entries = np.frombuffer(body if good else b"", INDEX_DTYPE)
+        good = good and bool(np.all((entries["log_time"] >= index.message_start_time) & (entries["log_time"] <= index.message_end_time)))
+        if good and len(data) and len(entries):
+            at = entries["offset"].astype(np.int64)
+            inside = at.min() >= 0 and at.max() + MESSAGE.size <= len(data)
+            good = bool(inside and np.all(data[at] == Opcode.MESSAGE) and np.all(data[at + 9] == key & 255))
+        if not good:
+            raise BagError(f"{self.path} has a damaged message index at byte {offset}: run `riins bag recover {self.bag}`")
+        return entries
+
     def _read_summary(self) -> Summary:
         stream, path = self.stream, self.path
         size = stream.seek(0, os.SEEK_END)
         stream.seek(0)
         if stream.read(len(MAGIC)) != MAGIC[:size]:
-            raise BagError(f"{path} is not an MCAP file")
+            raise BagError(not_mcap(path))
         cut = BagError(f"{path} is not complete (its recorder was killed, or the file was cut off): run `riins bag recover {self.bag}`")
         if size < 2 * len(MAGIC):
             raise cut

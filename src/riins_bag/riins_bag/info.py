@@ -50,11 +50,13 @@ class BagInfo:
     Attributes
     ----------
     complete : it has its metadata.yaml, so that `ros2 bag` opens it
+    damaged_metadata : there is a metadata.yaml, which cannot be read
     self_contained : it carries /riins/configuration, so that it can be navigated and scored alone
     """
 
     path: Path
     complete: bool
+    damaged_metadata: bool
     self_contained: bool
     start_ns: int
     duration_s: float
@@ -75,7 +77,7 @@ class BagInfo:
             where = f", largest {gaps.largest} at {gaps.largest_at_s:.3f} s" if gaps.lost else ""
             text.append(f"  {gaps.topic}: {gaps.received} samples, {gaps.lost} lost in {gaps.gaps} gaps{where}, {gaps.restarts} restarts")
         if not self.complete:
-            text.append("  metadata.yaml is missing: `riins bag recover` makes one")
+            text.append(f"  metadata.yaml {'is damaged' if self.damaged_metadata else 'is missing'}: `riins bag recover` makes one")
         if not self.self_contained:
             text.append("  no /riins/configuration: navigating it needs the geometry and parameters from elsewhere")
         return text
@@ -110,6 +112,7 @@ def describe(path: str | os.PathLike[str]) -> BagInfo:
         return BagInfo(
             path=Path(path),
             complete=bool(bag.metadata),
+            damaged_metadata=not bag.metadata and (bag.path / "metadata.yaml").exists(),
             self_contained="/riins/configuration" in bag.topics,
             start_ns=bag.start_ns,
             duration_s=bag.duration_s,

@@ -7,6 +7,7 @@ Does not live here: reading of complete bags (reader.py).
 from __future__ import annotations
 
 import io
+import mmap
 import os
 import shutil
 import struct
@@ -22,11 +23,13 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 
 from riins_bag.chunks import MAGIC, decompress, walk_chunk
 from riins_bag.errors import BagError
+from riins_bag.files import not_mcap, other_storage
 from riins_bag.qos import parse
 from riins_bag.typesys import type_hash
 from riins_bag.writer import BagWriter
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_CHUNK_HEAD = struct.Struct("<BQQQQI")  # opcode, length, first and last log time, uncompressed size, checksum; then the compression's name
 
 
 @dataclass
@@ -41,7 +44,7 @@ class RecoveryReport:
     start_ns, end_ns : log times of the first and last recovered message
     chunks, damaged_chunks : chunks copied, chunks that failed their checksum
     unknown_messages : messages whose channel was in a damaged chunk
-    lost_bytes : bytes at the end of the file(s) that belong to no complete record
+    lost_bytes : bytes of the file(s) that belong to no complete record
     """
 
     source: Path
@@ -71,7 +74,7 @@ class RecoveryReport:
         text += [f"  {topic}: {count}" for topic, count in sorted(self.counts.items())]
         if self.complete:
             return [*text, "nothing was lost: the source was complete"]
-        lost = [f"{self.lost_bytes} bytes of an unfinished record at the end"] if self.lost_bytes else []
+        lost = [f"{self.lost_bytes} bytes that belong to no complete record"] if self.lost_bytes else []
         lost += [f"{self.damaged_chunks} damaged chunks"] if self.damaged_chunks else []
         lost += [f"{self.unknown_messages} messages without a definition"] if self.unknown_messages else []
         return [*text, f"lost: {', '.join(lost) or 'what was not yet written when the recorder stopped'}"]
@@ -114,7 +117,7 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         shutil.rmtree(target.parent if replace else target, ignore_errors=True)
         raise
     report.start_ns, report.end_ns = writer.span_ns
-    report.complete = all(finished) and not (report.damaged_chunks or report.unknown_messages)
+    report.complete = all(finished) and not (report.damaged_chunks or report.unknown_messages or report.lost_bytes)
     report.counts = dict(report.counts)
     if replace:
         _replace(source, target)
@@ -127,11 +130,11 @@ def _files(source: Path) -> list[Path]:
         raise BagError(f"there is no bag at {source}")
     files = [source] if source.is_file() else sorted(source.glob("*.mcap"))
     if not files:
-        raise BagError(f"{source} is not a bag: there is no .mcap file in it")
+        raise BagError(other_storage(source))
     for file in files:
         with file.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise BagError(f"{file} is not an MCAP file")
+                raise BagError(not_mcap(file))
     return files
 
 
@@ -140,7 +143,7 @@ def _copy(file: Path, writer: BagWriter, report: RecoveryReport) -> bool:
     copier = _Copier(writer, report)
     with file.open("rb") as stream:
         size = stream.seek(0, os.SEEK_END)
-        places, good = _places(stream, size)
+        places, good, skipped = _places(stream, size)
         # Definitions stand in the chunks and, where the end is there, again behind them: those survive a damaged chunk.
         for opcode, begin, end in places:
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -150,21 +153,42 @@ def _copy(file: Path, writer: BagWriter, report: RecoveryReport) -> bool:
                 copier.take(opcode, _read(stream, begin, end))
         stream.seek(good)
         finished = bool(places) and places[-1][0] == Opcode.FOOTER and stream.read() == MAGIC
-    report.lost_bytes += 0 if finished else size - good
+    report.lost_bytes += skipped + (0 if finished else size - good)
     return finished
 
 
-def _places(stream: IO[bytes], size: int) -> tuple[list[tuple[int, int, int]], int]:
-    """Complete top-level records (opcode, begin, end) and the position behind the last of them."""
+def _places(stream: IO[bytes], size: int) -> tuple[list[tuple[int, int, int]], int, int]:
+    """Complete top-level records (opcode, begin, end), the position behind the last of them, and the bytes between that are no records."""
     places: list[tuple[int, int, int]] = []
-    position = len(MAGIC)
+    position, skipped = len(MAGIC), 0
     while position + 9 <= size and not (places and places[-1][0] == Opcode.FOOTER):
         opcode, length = struct.unpack("<BQ", _read(stream, position, position + 9))
         if opcode == 0 or position + 9 + length > size:
-            break
+            chunk = _next_chunk(stream, position, size)
+            if chunk is None:
+                break
+            skipped += chunk - position
+            position = chunk
+            continue
         places.append((opcode, position + 9, position + 9 + length))
         position += 9 + length
-    return places, position
+    return places, position, skipped
+
+
+def _next_chunk(stream: IO[bytes], begin: int, size: int) -> int | None:
+    """Position of the next complete compressed chunk, known by the name of its compression and by lengths that agree."""
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for name in (b"zstd", b"lz4"):
+            word = struct.pack("<I", len(name)) + name
+            found = data.find(word, begin + _CHUNK_HEAD.size)
+            while found >= 0:
+                position = found - _CHUNK_HEAD.size
+                opcode, length, *_ = _CHUNK_HEAD.unpack_from(data, position)
+                inner = int.from_bytes(data[found + len(word) : found + len(word) + 8], "little")
+                if opcode == Opcode.CHUNK and position + 9 + length <= size and length == _CHUNK_HEAD.size - 9 + len(word) + 8 + inner:
+                    return position
+                found = data.find(word, found + 1)
+    return None
 
 
 def _read(stream: IO[bytes], begin: int, end: int) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import struct
 import time
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from riins_bag.bag import BagError, BagReader, BagWriter
+from riins_bag.chunks import MAGIC
 from riins_bag.info import describe
 from riins_bag.recover import recover
 
@@ -58,8 +60,10 @@ def test_missing_foreign_and_empty(tmp_path: Path) -> None:
             call(text)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "old_0.db3").write_bytes(b"SQLite format 3\0")
-    with pytest.raises(BagError, match="rosbags-convert"):
-        BagReader(tmp_path / "old")
+    for call in (BagReader, recover):
+        for old in (tmp_path / "old", tmp_path / "old" / "old_0.db3"):
+            with pytest.raises(BagError, match=f"{tmp_path / 'old'} is a sqlite3 bag; .*rosbags-convert"):
+                call(old)
     lacking = make_bag(tmp_path / "lacking", 10)
     (lacking / "lacking_0.mcap").unlink()
     with pytest.raises(BagError, match=r"lacking_0.mcap"):
@@ -68,12 +72,45 @@ def test_missing_foreign_and_empty(tmp_path: Path) -> None:
 
 def test_metadata_may_be_missing_or_broken(tmp_path: Path) -> None:
     bag = make_bag(tmp_path / "bag", 100)
-    for spoil in ("not: [yaml", "other: 1"):
+    for spoil in ("not: [yaml", "other: 1", "rosbag2_bagfile_information: {version: 9, relative_file_paths: 7}"):
         (bag / "metadata.yaml").write_text(spoil)
         with BagReader(bag) as reader:
             assert reader.topics["/rimu/raw"] == (RAW, 100) and reader.metadata == {}
+        assert not describe(bag).complete and "  metadata.yaml is damaged: `riins bag recover` makes one" in describe(bag).lines()
     (bag / "metadata.yaml").unlink()
-    assert not describe(bag).complete and "riins bag recover" in "\n".join(describe(bag).lines())
+    assert not describe(bag).complete and "  metadata.yaml is missing: `riins bag recover` makes one" in describe(bag).lines()
+
+
+@pytest.mark.parametrize("spoil", ["zeros", "opcode", "times", "offsets", "length"])
+def test_damaged_message_index_names_the_cure(tmp_path: Path, whole: bytes, spoil: str) -> None:
+    at, number = samples_index(whole)
+    first = at + 15  # entry: log time, offset
+    place, new = {
+        "zeros": (slice(at, first + 16 * number), bytes(15 + 16 * number)),
+        "opcode": (slice(at, at + 1), b"\x08"),
+        "times": (slice(first, first + 8), bytes(8)),
+        "offsets": (slice(first + 8, first + 16), b"\xff" * 8),
+        "length": (slice(first - 4, first), struct.pack("<I", 17)),
+    }[spoil]
+    content = bytearray(whole)
+    content[place] = new
+    bag = cut(tmp_path / "bag", bytes(content))
+    with pytest.raises(BagError, match=f"damaged message index.*riins bag recover {bag}"):
+        describe(bag)
+    assert recover(bag, tmp_path / "again").complete == (spoil != "zeros")
+    with BagReader(tmp_path / "again") as reader:
+        assert reader.columns("/rimu/raw", ["sequence"])["sequence"].tolist() == list(range(1, 2001))
+
+
+def samples_index(content: bytes) -> tuple[int, int]:
+    """Where the first message index with samples is, and how many entries it has."""
+    position = len(MAGIC)
+    while True:
+        opcode, length = struct.unpack_from("<BQ", content, position)
+        channel, size = struct.unpack_from("<HI", content, position + 9)
+        if opcode == 7 and channel == 2 and size > 160:
+            return position, size // 16
+        position += 9 + length
 
 
 @settings(max_examples=25, deadline=None)

@@ -36,13 +36,14 @@ class StartError(RuntimeError):
 class AutostartLifecycleNode(LifecycleNode):
     """Lifecycle node that configures and activates itself, unless the parameter `autostart` is false.
 
-    Subclasses override on_configure, on_activate, ... as in rclpy; what they raise is logged in one line and, when it happens at the
-    start, ends the process with the right status (rclpy itself swallows it).
+    Subclasses override on_configure, on_activate, ... as in rclpy; what they raise is logged in one line or, at the start, told by `run`,
+    which ends the process with the right status (rclpy itself swallows it).
     """
 
     def __init__(self, node_name: str, **kwargs: Any) -> None:
         super().__init__(node_name, **kwargs)
         self.failure: Exception | None = None
+        self._starting = False
         descriptor = ParameterDescriptor(description="configure and activate at start, without a lifecycle manager", read_only=True)
         try:
             self.declare_parameter("autostart", Parameter.Type.BOOL, descriptor) if "autostart" in self._parameter_overrides else (
@@ -67,26 +68,31 @@ class AutostartLifecycleNode(LifecycleNode):
         """
         if not self.get_parameter("autostart").value:
             return
+        self._starting = True  # what fails now is told by `run`, once
         for name, transition in (("configure", self.trigger_configure), ("activate", self.trigger_activate)):
             self.failure = None
             if transition() != TransitionCallbackReturn.SUCCESS:
                 raise self.failure or StartError(f"{name} failed")
+        self._starting = False
 
     def _guarded(self, callback: Callable[[LifecycleState], TransitionCallbackReturn]) -> Callable[[LifecycleState], TransitionCallbackReturn]:
         def guarded(state: LifecycleState) -> TransitionCallbackReturn:
             try:
                 return callback(state)
             except (ParameterError, SettingError, StartError) as error:  # the user can put it right and configure again
-                self.failure = error
-                self.get_logger().error(str(error))
+                self._failed(error, str(error))
                 return TransitionCallbackReturn.FAILURE
             except Exception as error:
-                self.failure = error
-                self.get_logger().error(_one_line(error))
+                self._failed(error, _one_line(error))
                 self.get_logger().debug(traceback.format_exc())
                 return TransitionCallbackReturn.ERROR
 
         return guarded
+
+    def _failed(self, error: Exception, line: str) -> None:
+        self.failure = error
+        if not self._starting:
+            self.get_logger().error(line)
 
 
 def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: str = "node") -> int:

@@ -123,6 +123,8 @@ def test_errors_are_one_line_and_a_status(script: Path, words: list[str], status
     assert len(lines) == 1, done.stderr
     assert said in lines[0]
     assert "Traceback" not in done.stderr
+    if words[0] == "managed":
+        assert done.stderr.splitlines() == lines  # not by the logger too
 
 
 def test_error_in_a_callback_says_where(script: Path) -> None:

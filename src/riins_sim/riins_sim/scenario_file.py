@@ -125,11 +125,12 @@ def find(path_or_name: str | Path) -> Path:
     path = Path(word)
     if path.is_file():
         return path
-    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1:
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
         for directory in directories():
             shipped = directory / f"{word}.yaml"
             if shipped.is_file():
                 return shipped
         known = names()
-        raise ScenarioError(f'no scenario "{word}"{nearest(word, known)}; shipped: {", ".join(known) or "none found"}')
+        what = f'no scenario "{word}"{nearest(word, known)}' if word else "no scenario is named"
+        raise ScenarioError(f"{what}; shipped: {', '.join(known) or 'none found'}")
     raise ScenarioError(f"{word}: no such file")

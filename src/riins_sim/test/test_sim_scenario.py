@@ -117,6 +117,8 @@ def test_finding_scenarios(tmp_path, monkeypatch):
     path = tmp_path / "mine.yaml"
     path.write_text(GOOD)
     assert load(path) == load(str(path)) == from_yaml(GOOD)
+    with pytest.raises(ScenarioError, match=r"^no scenario is named; shipped: .*harbour"):
+        load("")
     with pytest.raises(ScenarioError, match=r'no scenario "harbur" \(did you mean "harbour"\?\); shipped: .*voyage_12h'):
         load("harbur")
     with pytest.raises(ScenarioError, match="no such file"):
