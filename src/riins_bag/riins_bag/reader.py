@@ -6,6 +6,7 @@ Does not live here: chunks and their caching (files.py), unfinished files (recov
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -25,8 +26,11 @@ from riins_bag.errors import BagError
 from riins_bag.files import McapFile, locate
 from riins_bag.qos import Qos, parse
 from riins_bag.typesys import deserialize, store_of_schemas, type_hash, typestore
+from riins_bag.writer import CONFIGURATION_TOPIC
 
 FOREVER_NS = 2**63 - 1
+RUN_TOPICS = ("/rimu/raw", "/imu/fused", "/nav/initial_state", "/nav/settled")
+"""A recording that has one of them holds a run."""
 
 
 class Message(NamedTuple):
@@ -51,20 +55,23 @@ class BagReader:
     Parameters
     ----------
     path : directory with metadata.yaml and .mcap file(s), the same without metadata.yaml, or one .mcap file
+    namespace : its topics are read without it, all others but /riins/configuration are hidden; "": topics as recorded;
+        None: as recorded where a run is among them, else the one namespace that holds a run
 
     Attributes
     ----------
     topics : dict of name -> (type, count)
+    namespace : what was taken off the topics
     start_ns, end_ns : log time of the first and last message; 0 when there is none
     metadata : the bagfile information of metadata.yaml, {} when it is missing
 
     Raises
     ------
     BagError
-        Nothing there, another format, or a recording that was cut off (the text then names `riins bag recover`).
+        Nothing there, another format, or a recording that was cut off (the text then names `riins bag recover`); no such namespace, or several.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], namespace: str | None = "") -> None:
         self.path = Path(path)
         self.metadata: dict[str, Any] = {}
         self._files: list[McapFile] = []
@@ -73,6 +80,7 @@ class BagReader:
             files, self.metadata = locate(self.path)
             for file in files:
                 self._files.append(McapFile(file, self.path))
+            self.namespace = self._enter(namespace)
         except BaseException:
             self.close()
             raise
@@ -144,7 +152,7 @@ class BagReader:
 
     def configuration(self) -> str | None:
         """Text of the first message on /riins/configuration, None when there is none."""
-        for _, _, message in self.read(("/riins/configuration",)):
+        for _, _, message in self.read((CONFIGURATION_TOPIC,)):
             return str(message.data)
         return None
 
@@ -243,6 +251,26 @@ class BagReader:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
+    def _enter(self, namespace: str | None) -> str:
+        names = {channel.topic for file in self._files for channel in file.summary.channels.values()}
+        if namespace is None:
+            found = namespaces(names)
+            if len(found) > 1:
+                raise BagError(f"{self.path} holds the runs of {', '.join(found)}: choose one with --namespace")
+            namespace = found[0] if found else ""
+        name = namespace.strip("/")
+        if not name:
+            return ""
+        if not any(topic.startswith(f"/{name}/") for topic in names):
+            raise BagError(f"{self.path} has nothing in the namespace {name}; it has: {', '.join(sorted(names)) or 'nothing'}")
+        for file in self._files:
+            channels = file.summary.channels
+            inside = {key: channel for key, channel in channels.items() if channel.topic.startswith(f"/{name}/")}
+            file.summary.channels = {key: channel for key, channel in channels.items() if channel.topic == CONFIGURATION_TOPIC} | {
+                key: dataclasses.replace(channel, topic=channel.topic.removeprefix(f"/{name}")) for key, channel in inside.items()
+            }
+        return name
+
     def _count_topics(self) -> dict[str, Topic]:
         counts: dict[str, Topic] = {}
         for file in self._files:
@@ -271,8 +299,9 @@ class BagReader:
         return shared
 
     def _digest(self, topic: str) -> str:
+        names = (topic, f"/{self.namespace}{topic}")
         for entry in self.metadata.get("topics_with_message_count", []):
-            if entry.get("topic_metadata", {}).get("name") == topic:
+            if entry.get("topic_metadata", {}).get("name") in names:
                 return str(entry["topic_metadata"].get("type_description_hash", ""))
         return ""
 
@@ -313,6 +342,12 @@ class BagReader:
         if self._compressed:
             data = zstandard.ZstdDecompressor().decompress(data)
         return Message(channel.topic, self.topics[channel.topic].msgtype, data, log_ns)
+
+
+def namespaces(topics: Collection[str]) -> list[str]:
+    """Namespaces in which topics of a run are; [] when there is none or a run stands outside of all."""
+    found = {topic.removesuffix(word).strip("/") for topic in topics for word in RUN_TOPICS if topic.endswith(word)}
+    return [] if "" in found else sorted(found)
 
 
 def _body(data: NDArray[np.uint8], offset: int) -> NDArray[np.uint8]:

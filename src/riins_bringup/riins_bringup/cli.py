@@ -56,6 +56,8 @@ TwinsOption = Annotated[
     bool | None, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too (default: where it is cheap)")
 ]
 
+NamespaceOption = Annotated[str | None, typer.Option(help="namespace of the recorded topics (default: the one there is)")]
+
 
 @app.command()
 def geometry(
@@ -119,6 +121,7 @@ def navigate(
     bag: BagArgument,
     out: Annotated[Path, typer.Option("--out", help="bag directory to write", metavar="BAG")],
     record: Annotated[Record, typer.Option(help="what goes into the new bag")] = Record.nav,
+    namespace: NamespaceOption = None,
     json_file: JsonOption = None,
 ) -> int:
     """Fuse and navigate from the raw topics of a recorded bag, offline.
@@ -128,12 +131,12 @@ def navigate(
     from riins_eval import offline
 
     with _Progress(f"navigate {bag.name}") as progress:
-        run = offline.navigate(bag, out, record=record.value, progress=progress)
+        run = offline.navigate(bag, out, record=record.value, progress=progress, namespace=namespace)
     return _judge(run.score, run.expect, json_file)
 
 
 @app.command()
-def score(bag: BagArgument, twins: TwinsOption = None, json_file: JsonOption = None) -> int:
+def score(bag: BagArgument, twins: TwinsOption = None, namespace: NamespaceOption = None, json_file: JsonOption = None) -> int:
     """Score a recorded run against its truth: errors, consistency, faults found and missed.
 
     Exit status 1 when what the scenario expects does not hold. Example: [bold]riins score out/harbour --json out/score.json[/bold]
@@ -142,7 +145,7 @@ def score(bag: BagArgument, twins: TwinsOption = None, json_file: JsonOption = N
     from riins_eval.bag_record import read_record
 
     with _Progress(f"score {bag.name}") as progress:
-        record = read_record(bag, twins=twins, progress=progress)
+        record = read_record(bag, twins=twins, progress=progress, namespace=namespace)
         result = scoring.score(record)
     return _judge(result, record.expect, json_file)
 
@@ -152,6 +155,7 @@ def report(
     bag: BagArgument,
     out: Annotated[Path | None, typer.Option("--out", help="directory of the report (default: BAG_report)", metavar="DIR")] = None,
     twins: TwinsOption = None,
+    namespace: NamespaceOption = None,
 ) -> int:
     """Write one self-contained HTML page and PNG figures of a recorded run.
 
@@ -160,7 +164,7 @@ def report(
     from riins_eval.report import report as write
 
     with _Progress(f"report {bag.name}") as progress:
-        page = write(bag, out or bag.with_name(f"{bag.name}_report"), twins=twins, progress=progress)
+        page = write(bag, out or bag.with_name(f"{bag.name}_report"), twins=twins, progress=progress, namespace=namespace)
     _console().print(f"report: {page}", highlight=False, soft_wrap=True)
     return OK
 

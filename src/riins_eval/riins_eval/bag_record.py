@@ -43,7 +43,7 @@ _STATE = (
 __all__ = ["RecordError", "read_record"]
 
 
-def read_record(bag: str | Path, twins: bool | None = None, progress: Progress | None = None) -> RunRecord:
+def read_record(bag: str | Path, twins: bool | None = None, progress: Progress | None = None, namespace: str | None = None) -> RunRecord:
     """Read a recorded run.
 
     Parameters
@@ -51,6 +51,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
     bag : rosbag2 directory with /nav/settled
     twins : True: sail the scenario again for the fault-free twin and the oracle where the bag lacks them; None: where that takes seconds; False: no
     progress : called with (seconds done, seconds in all) while the twins sail
+    namespace : of the recorded topics; None: the one there is
 
     Returns
     -------
@@ -63,7 +64,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
     BagError
         It cannot be read.
     """
-    with BagReader(bag) as reader:
+    with BagReader(bag, namespace) as reader:
         if not holds(reader, "/nav/settled"):
             cure = "; make one with `riins navigate`" if RAW_IMU in reader.topics else ""
             raise RecordError(f"{bag} has no /nav/settled: there is no navigation in it to score{cure}")

@@ -310,8 +310,9 @@ def navigate(
     record: str = "nav",
     progress: Progress | None = None,
     overrides: dict[str, Any] | None = None,
+    namespace: str | None = None,
 ) -> RunResult:
     """Fuse and navigate from the raw topics of a bag; see `renavigate.navigate`."""
     from . import renavigate
 
-    return renavigate.navigate(bag_in, bag_out, record, progress, overrides)
+    return renavigate.navigate(bag_in, bag_out, record, progress, overrides, namespace)

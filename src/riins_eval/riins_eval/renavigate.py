@@ -64,6 +64,7 @@ def navigate(
     record: str = "nav",
     progress: Callable[[float, float], None] | None = None,
     overrides: dict[str, Any] | None = None,
+    namespace: str | None = None,
 ) -> RunResult:
     """Fuse and navigate from the raw topics of a bag, with the settings that are in it.
 
@@ -74,6 +75,7 @@ def navigate(
     record : nav, raw (copies /rimu/raw too) or all, see recording.RECORDS
     progress : called with (recorded seconds done, seconds in all)
     overrides : settings that replace the recorded ones: {"navigator": {"gps": {"enabled": False}}}
+    namespace : of the recorded topics, taken off in the new bag; None: the one there is
 
     Returns
     -------
@@ -85,7 +87,7 @@ def navigate(
         The bag lacks raw samples, an initial state or its configuration.
     BagError, SettingError
     """
-    with BagReader(bag_in) as reader:
+    with BagReader(bag_in, namespace) as reader:
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")

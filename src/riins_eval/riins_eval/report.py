@@ -15,7 +15,13 @@ from . import score as scoring
 from .run_record import RunRecord
 
 
-def report(bag: str | Path, out_dir: str | Path, twins: bool | None = None, progress: Callable[[float, float], None] | None = None) -> Path:
+def report(
+    bag: str | Path,
+    out_dir: str | Path,
+    twins: bool | None = None,
+    progress: Callable[[float, float], None] | None = None,
+    namespace: str | None = None,
+) -> Path:
     """Write the report of a recorded run.
 
     Parameters
@@ -24,6 +30,7 @@ def report(bag: str | Path, out_dir: str | Path, twins: bool | None = None, prog
     out_dir : directory to write to, made if needed
     twins : see `score.score_bag`
     progress : called with (seconds done, seconds in all)
+    namespace : of the recorded topics; None: the one there is
 
     Returns
     -------
@@ -36,7 +43,7 @@ def report(bag: str | Path, out_dir: str | Path, twins: bool | None = None, prog
     """
     from .bag_record import read_record
 
-    return write_report(read_record(bag, twins=twins, progress=progress), out_dir)
+    return write_report(read_record(bag, twins=twins, progress=progress, namespace=namespace), out_dir)
 
 
 def write_report(record: RunRecord, out_dir: str | Path, result: scoring.Score | None = None) -> Path:

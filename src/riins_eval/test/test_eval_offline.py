@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from riins_bag.bag import BagReader, BagWriter, message, serialize
+from riins_bag.bag import BagError, BagReader, BagWriter, message, serialize
 from riins_core.settings import SettingError
 from riins_eval import bag_record, metrics, offline, renavigate
 from riins_eval.lane import size_text
@@ -201,6 +201,26 @@ def test_order_of_arrival_does_not_matter(bag, tmp_path, run):
     again = offline.navigate(tmp_path / "late")
     assert equal(again.record.settled, run.record.settled)
     assert again.score["samples"]["late"] == 0
+
+
+def test_a_recording_made_in_a_namespace_is_read_without_it(bag, tmp_path, run):
+    with BagReader(bag) as reader, BagWriter(tmp_path / "ship", flush_period_s=0.0) as one, BagWriter(tmp_path / "fleet", flush_period_s=0.0) as two:
+        for topic, msgtype, data, log_ns in reader.messages():
+            inside = topic if topic == "/riins/configuration" else f"/fleet/ship1{topic}"
+            one.write(inside, msgtype, data, log_ns)
+            two.write(inside, msgtype, data, log_ns)
+            if topic != "/riins/configuration":
+                two.write(f"/fleet/ship2{topic}", msgtype, data, log_ns)
+    again = offline.navigate(tmp_path / "ship", tmp_path / "again")
+    assert equal(again.record.settled, run.record.settled)
+    with BagReader(tmp_path / "again") as reader:
+        assert {"/nav/settled", "/gps/fix", "/truth/state"} <= set(reader.topics)
+    chosen = bag_record.read_record(tmp_path / "fleet", twins=False, namespace="/fleet/ship2")
+    assert near(score(chosen)["position_rms_m"], run.score["position_rms_m"]) == []
+    with pytest.raises(BagError, match=r"fleet/ship1, fleet/ship2: choose one with --namespace"):
+        bag_record.read_record(tmp_path / "fleet")
+    with pytest.raises(BagError, match="nothing in the namespace fleet/ship3"):
+        bag_record.read_record(tmp_path / "fleet", namespace="fleet/ship3")
 
 
 def test_commands_of_the_bag_are_obeyed_at_their_stamp(bag, tmp_path, run, monkeypatch):
