@@ -139,8 +139,8 @@ def _isolation(array: imu_array.ImuArray) -> list[dict[str, Any]]:
 
 
 def _isolation_table(name: str, rows: list[dict[str, Any]]) -> Table:
-    sheet = Table(title=f"{name}: worst left after isolation (sigma of one sensor = 1)")
-    for head in ("out", "GDOP", "sigma", "J_p", "which, from 0", "along x y z", "singular"):
+    sheet = Table(title=f"{name}: worst left after isolation; sigma of one sensor is 1; (k): k choices alike")
+    for head in ("out", "GDOP", "sigma", "J_p", "which, from 0", "along x y z", "lost"):
         sheet.add_column(head, no_wrap=True)
     for row in rows:
         cells = ["none" if row[key] is None else f"{row[key]:.4f}" for key in ("gdop", "sigma_worst", "accuracy_figure")]

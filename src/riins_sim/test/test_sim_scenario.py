@@ -90,7 +90,7 @@ def test_round_trip_through_yaml(voyage):
 
 
 def test_shipped_scenarios():
-    assert {"harbour", "voyage_12h", "calm_12h", "voyage_straight"} <= set(names())
+    assert {"harbour", "voyage_12h", "calm_12h", "voyage_straight", "three_faults"} <= set(names())
     for name in names():
         scenario = load(name)
         assert scenario.name == name
