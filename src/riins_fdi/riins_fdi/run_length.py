@@ -61,6 +61,7 @@ def cusum_run_length(threshold: float, reference: float) -> float:
     return float(np.linalg.solve(np.eye(at.size) - kernel, np.ones(at.size))[-1])
 
 
+@functools.lru_cache(maxsize=256)
 def cusum_threshold(epochs: float, reference: float, charts: int) -> float:
     """Threshold at which `charts` one-sided sums together give a false alarm every `epochs` epochs.
 
@@ -147,21 +148,21 @@ def glr_alarm_rate(threshold: float, directions: ArrayLike, lengths: ArrayLike, 
     return float(2.0 * math.exp(log_tail) * u.shape[0] * widths.size * np.mean(1.0 / sizes))
 
 
-def glr_threshold(epochs: float, directions: ArrayLike, lengths: ArrayLike) -> float:
+def glr_threshold(epochs: float, directions: ArrayLike, lengths: ArrayLike, samples: int = _SAMPLES) -> float:
     """Threshold at which the windowed GLR gives a false alarm every `epochs` epochs on the mean; arguments as in `glr_alarm_rate`."""
     if not epochs > 1.0:
         raise ValueError("needs more than one epoch between alarms")
     u = np.ascontiguousarray(directions, dtype=np.float64)
     widths = np.ascontiguousarray(lengths, dtype=np.int64)
-    return _glr_threshold(epochs, u.tobytes(), u.shape, tuple(widths.tolist()))
+    return _glr_threshold(epochs, u.tobytes(), u.shape, tuple(widths.tolist()), samples)
 
 
 @functools.lru_cache(maxsize=256)
-def _glr_threshold(epochs: float, directions: bytes, shape: tuple[int, int], lengths: tuple[int, ...]) -> float:
+def _glr_threshold(epochs: float, directions: bytes, shape: tuple[int, int], lengths: tuple[int, ...], samples: int) -> float:
     u = np.frombuffer(directions).reshape(shape)
 
     def excess(threshold: float) -> float:
-        return math.log(glr_alarm_rate(threshold, u, lengths) * epochs)
+        return math.log(glr_alarm_rate(threshold, u, lengths, samples) * epochs)
 
     # by Bonferroni the rate is below n L P(|Z| > b); one test alone gives the lower end
     high = float(norm.isf(0.5 / (epochs * shape[0] * len(lengths))) ** 2)

@@ -65,8 +65,42 @@ def fade(P: Array, V: Array, factor: float) -> None:
 
 
 @jit
+def adaptive_step(
+    d: Array, P: Array, Q: Array, past: Array, b: float, beta: float, rho: float, V: Array, RV: Array, z: Array,
+    p: Array, dz: Array, S: Array, e: Array, before: Array, old: Array,
+) -> None:  # fmt: skip
+    """One sample z (n,); the rest as in `adaptive_block`, and room for (dof,), (dof,), (dof, dof), (dof,), (n,), (n,)."""
+    n, dof = z.shape[0], V.shape[0]
+    if dof > 0:
+        parity_of(V, z, p)
+        square, noise, seen = 0.0, 0.0, 0.0
+        for r in range(dof):
+            s = p[r]
+            for i in range(n):
+                s -= V[r, i] * d[i]
+                for j in range(n):
+                    seen += V[r, i] * P[i, j] * V[r, j]
+            square += s * s
+            noise += RV[r, r]
+        past[0] = square if past[1] == 0.0 else (rho * past[0] + square) / (1.0 + rho)
+        for i in range(n):
+            before[i] = d[i]
+            old[i] = P[i, i]
+        if seen > 0.0 and past[0] - beta * noise > seen:
+            fade(P, V, (past[0] - beta * noise) / seen)
+    for i in range(n):
+        P[i, i] += Q[i]
+    if dof > 0:
+        update_joseph(d, P, p, V, RV, dz, S, e)
+        weight = (1.0 - b) / (1.0 - b ** (past[1] + 1.0))
+        for i in range(n):
+            Q[i] = max(0.0, (1.0 - weight) * Q[i] + weight * ((d[i] - before[i]) ** 2 + P[i, i] - old[i]))
+        past[1] += 1.0
+
+
+@jit
 def adaptive_block(
-    d: Array, P: Array, Q: Array, V0: Array, count: Array, b: float, beta: float, rho: float, R: Array, V: Array, RV: Array, W: Array, z: Array,
+    d: Array, P: Array, Q: Array, past: Array, b: float, beta: float, rho: float, R: Array, V: Array, RV: Array, W: Array, z: Array,
     x: Array, cov: Array, drift: Array,
 ) -> None:  # fmt: skip
     """Samples one after the other.
@@ -74,8 +108,7 @@ def adaptive_block(
     Parameters
     ----------
     d, P, Q : (n,), (n, n), (n,), drifts, their covariance, process noise, in place
-    V0 : (1,), trace of the innovation covariance, in place
-    count : (1,), samples so far, in place
+    past : (2,), trace of the innovation covariance, samples so far, in place
     b, beta, rho : see `AdaptiveSettings`
     R, V, RV, W, z, x, cov, drift : as in `optimal_block`
     """
@@ -83,31 +116,7 @@ def adaptive_block(
     p, dz, S, e = np.empty(dof), np.empty(dof), np.empty((dof, dof)), np.empty(dof)
     before, old = np.empty(n), np.empty(n)
     for k in range(z.shape[0]):
-        if dof > 0:
-            parity_of(V, z[k], p)
-            square, noise, seen = 0.0, 0.0, 0.0
-            for r in range(dof):
-                s = p[r]
-                for i in range(n):
-                    s -= V[r, i] * d[i]
-                    for j in range(n):
-                        seen += V[r, i] * P[i, j] * V[r, j]
-                square += s * s
-                noise += RV[r, r]
-            V0[0] = square if count[0] == 0.0 else (rho * V0[0] + square) / (1.0 + rho)
-            for i in range(n):
-                before[i] = d[i]
-                old[i] = P[i, i]
-            if seen > 0.0 and V0[0] - beta * noise > seen:
-                fade(P, V, (V0[0] - beta * noise) / seen)
-        for i in range(n):
-            P[i, i] += Q[i]
-        if dof > 0:
-            update_joseph(d, P, p, V, RV, dz, S, e)
-            weight = (1.0 - b) / (1.0 - b ** (count[0] + 1.0))
-            for i in range(n):
-                Q[i] = max(0.0, (1.0 - weight) * Q[i] + weight * ((d[i] - before[i]) ** 2 + P[i, i] - old[i]))
-            count[0] += 1.0
+        adaptive_step(d, P, Q, past, b, beta, rho, V, RV, z[k], p, dz, S, e, before, old)
         weigh(W, z[k], d, R, P, x[k], cov[k])
         for i in range(n):
             drift[k, i] = d[i]
@@ -139,13 +148,13 @@ class AdaptiveFusion(FusionMethod):
         super().__init__(model)
 
     def _begin(self) -> tuple[Array, ...]:
-        return np.zeros(self.model.array.n), np.diag(self.model.P), self.model.Q.copy(), np.zeros(1), np.zeros(1)
+        return np.zeros(self.model.array.n), np.diag(self.model.P), self.model.Q.copy(), np.zeros(2)
 
     def _run(self, table: Table, z: Array, out: Fused) -> None:
         s = self.settings
         args = (table.V, table.R, table.W, z, out.x, out.covariance, out.drift)
-        d, P, Q, V0, count = self._state
-        adaptive_block(d, P, Q, V0, count, s.forgetting, s.softening, s.memory, self.model.R, *args)
+        d, P, Q, past = self._state
+        adaptive_block(d, P, Q, past, s.forgetting, s.softening, s.memory, self.model.R, *args)
 
     @property
     def process_noise(self) -> Array:

@@ -17,7 +17,14 @@ from riins_core.frames import frd_to_flu
 from riins_core.settings import SettingError, section, setting
 from riins_fdi.health import HealthConfig
 from riins_fdi.parity import false_alarm_probability
+from riins_imu_fusion.adaptive import AdaptiveSettings
+from riins_imu_fusion.corrections import FUSION
+from riins_imu_fusion.drift_compensated import CompensationSettings
 from riins_imu_fusion.glr_kf import GlrSettings
+from riins_imu_fusion.judges import PARITY_TESTS
+from riins_imu_fusion.method import TriadModel
+from riins_imu_fusion.noise_watch import NoiseSettings
+from riins_imu_fusion.sequences import SEQUENTIAL_TESTS, SequenceSettings
 
 KINDS = ("gyro", "accel")
 """The two triads, in the order of every array with a leading axis of 2."""
@@ -32,11 +39,28 @@ class SensorHealth(HealthConfig):
 
 
 @dataclass(frozen=True)
+class DriftSettings:
+    """Drifts as opt, aopt and optdc expect them. Unequal values say which sensors are bad; with equal ones opt and optdc are least squares."""
+
+    gyro_sigma: tuple[float, ...] = setting(
+        (0.0,), "drift of a gyro at the start, 1 sigma: one value, or one for each; 0: its ordinary bias, else its noise", "rad/s", 0.0, 10.0
+    )
+    gyro_walk: tuple[float, ...] = setting((0.0,), "random walk of a gyro's drift, likewise; 0: 1e-4 of its noise", "rad/s/sqrt(s)", 0.0, 10.0)
+    accel_sigma: tuple[float, ...] = setting((0.0,), "drift of an accelerometer at the start, likewise", "m/s^2", 0.0, 100.0)
+    accel_walk: tuple[float, ...] = setting((0.0,), "random walk of an accelerometer's drift, likewise", "m/s^2/sqrt(s)", 0.0, 100.0)
+    adaptive: AdaptiveSettings = section(AdaptiveSettings, "aopt")
+    compensation: CompensationSettings = section(CompensationSettings, "optdc")
+
+
+@dataclass(frozen=True)
 class FusionConfig:
     """Everything the fusion needs to know before it starts. Default noise of one sensor: sqrt 2 times that of the ship paper's fused triad."""
 
     rate_hz: float = setting(100.0, "nominal sample rate", "Hz", 0.1, 100e3)
-    method: str = setting("wls", "wls: weighted least squares; glr_kf: and drifts found, removed and paid back", choices=("wls", "glr_kf"))
+    method: str = setting("wls", "how redundant samples are fused; ~/set_fusion_method changes it while running", choices=tuple(FUSION))
+    parity_test: str = setting("glt", "test of each sample; likewise", choices=tuple(PARITY_TESTS))
+    sequential_test: str = setting("none", "test over many samples beside it; likewise", choices=tuple(SEQUENTIAL_TESTS))
+    adapt_noise: bool = setting(False, "thresholds and weights follow the noise as estimated while running; likewise")
     configuration: str = setting("dodecahedron", "geometry of the sensing axes", choices=tuple(imu_array.CONFIGURATIONS))
     geometry: tuple[float, ...] = setting((), "sensing axes as n unit vectors, row by row, FLU imu_link; empty: the configuration's", "", -1.0, 1.0)
     gyro_sigma: tuple[float, ...] = setting((8.2275e-6,), "white noise of one gyro sample: one value, or one for each", "rad/s", 1e-15, 100.0)
@@ -47,6 +71,9 @@ class FusionConfig:
     false_alarm_probability: float = setting(0.0, "probability per sample and triad; 0: from the mean time between false alarms", "", 0.0, 0.5)
     health: SensorHealth = section(SensorHealth, "isolation, hold and probation of a sensor")
     glr: GlrSettings = section(GlrSettings, "when glr_kf believes in a drift, and how it is removed")
+    drift: DriftSettings = section(DriftSettings, "what opt, aopt and optdc know of the drifts beforehand")
+    sequence: SequenceSettings = section(SequenceSettings, "the test over many samples")
+    noise: NoiseSettings = section(NoiseSettings, "estimation of the sensors' noise while running")
     probation_mean_limit: float = setting(1.0, "mean residual over the probation that prevents a return, in sigma of one residual", "", 0.01, 100.0)
     stuck_count: int = setting(10, "samples with one and the same value after which a sensor is taken as stuck; 0: never", "", 0, 1_000_000)
     gyro_limit: float = setting(0.0, "range of a gyro: at or beyond it the value is saturated; 0: none", "rad/s", 0.0, 1e4)
@@ -63,8 +90,10 @@ class FusionConfig:
             raise SettingError('"stuck_count" must be 0 (never) or at least 2')
         n = self.array().n
         for kind in KINDS:
-            if len(getattr(self, f"{kind}_sigma")) not in (1, n):
-                raise SettingError(f'"{kind}_sigma" must have 1 or {n} elements, not {len(getattr(self, f"{kind}_sigma"))}')
+            for name, given in ((f"{kind}_sigma", self), (f"drift.{kind}_sigma", self.drift), (f"drift.{kind}_walk", self.drift)):
+                length = len(getattr(given, name.rpartition(".")[2]))
+                if length not in (1, n):
+                    raise SettingError(f'"{name}" must have 1 or {n} elements, not {length}')
 
     def array(self) -> imu_array.ImuArray:
         """Geometry in body axes FRD, the same for gyros and accelerometers.
@@ -91,6 +120,17 @@ class FusionConfig:
     def total_sigma(self) -> NDArray[np.float64]:
         """Noise and ordinary bias together, (2, n): what the parity of healthy sensors is made of."""
         return np.hypot(self.sigma(), np.array([[self.gyro_bias_sigma], [self.accel_bias_sigma]]))
+
+    def drift_models(self) -> tuple[TriadModel, TriadModel]:
+        """What opt, aopt and optdc know of the gyros and of the accelerometers beforehand."""
+        array, sigma, made = self.array(), self.sigma(), []
+        for k, kind in enumerate(KINDS):
+            given, walk = (np.broadcast_to(getattr(self.drift, f"{kind}_{name}"), (array.n,)) for name in ("sigma", "walk"))
+            bias = getattr(self, f"{kind}_bias_sigma")
+            given = np.where(given > 0.0, given, bias or sigma[k])
+            walk = np.where(walk > 0.0, walk, 1e-4 * sigma[k]) / math.sqrt(self.rate_hz)
+            made.append(TriadModel(array, sigma[k], given, walk, 1.0 / self.rate_hz))
+        return made[0], made[1]
 
     def pfa(self) -> float:
         """False-alarm probability per sample and triad."""

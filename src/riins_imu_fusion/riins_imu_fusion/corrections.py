@@ -1,7 +1,7 @@
 """What is taken out of the readings before least squares: the drifts that a filter on the parity vector has found.
 
 Lives here: the kernels by which the fusion loop asks the filter of each kind of sensor, lets it learn, and adds its uncertainty.
-Does not live here: the filters (glr_kf_kernel.py), the loop (kernel.py), what follows from their findings (compensation.py).
+Does not live here: the filters (glr_kf_kernel.py, optimal.py, adaptive.py), the loop (kernel.py), what follows from their findings (compensation.py).
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import jit
+from riins_imu_fusion.adaptive import adaptive_step
+from riins_imu_fusion.drift_compensated import feed_back
 from riins_imu_fusion.glr_kf_kernel import hold, other_set, step
 
 # isort: off
@@ -17,16 +19,62 @@ from riins_imu_fusion.glr_kf_state import (
 )  # fmt: skip
 
 # isort: on
-from riins_imu_fusion.state import QUIET, F
+from riins_imu_fusion.optimal import optimal_step
+from riins_imu_fusion.state import COMPENSATION, ESTIMATE, FEEDBACK, FORGETTING, MEMORY, QUIET, SOFTENING, STEP, TOTAL, DriftState, F
+
+WLS, GLR_KF, OPT, AOPT, OPTDC = 0, 1, 2, 3, 4
+FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC}
+"""Number of each fusion method by the name that methods.METHODS gives it."""
 
 
 @jit
 def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
-    """Measurements without the drifts known before this sample."""
+    """Measurements without the drifts that glr_kf knew before this sample; those of opt, aopt and optdc stay in: they answer for no threshold."""
     for i in range(z.shape[1]):
         tested[kind, i] = z[kind, i]
         if glr.ints[ACTIVE] == 1 and glr.vec[USED, i] > 0.0:
             tested[kind, i] -= glr.vec[X, i]
+
+
+@jit
+def follow(
+    kind: int, fusion: int, alarm: int, dof: int, V: F, member: F, W: F, z: F, numbers: F, st: DriftState, clean: F, removed: F, excess: F
+) -> None:  # fmt: skip
+    """Opt, aopt or optdc: let the filter see the sample, take the drifts from it, add the covariance of what is left of them.
+
+    Parameters
+    ----------
+    V : (d, n), parity matrix of the sensors in use, scaled to white noise of unit variance
+    member, W : (n,), (3, n), of the sensors fused
+    z, clean : (2, n)
+    numbers : see state.Rules
+    removed, excess : (n,), (3, 3), written and added to
+    """
+    n = z.shape[1]
+    d, Q, D, total, P = st.vec[kind, ESTIMATE], st.vec[kind, STEP], st.vec[kind, COMPENSATION], st.vec[kind, TOTAL], st.P[kind]
+    left = np.empty(n)
+    for i in range(n):
+        left[i] = z[kind, i] - D[i]
+    if alarm != QUIET or dof < 1:  # not even the sensors in use agree: nothing to learn
+        for i in range(n):
+            P[i, i] += Q[i]
+    else:
+        p, dz, S, e, RV = np.empty(dof), np.empty(dof), np.empty((dof, dof)), np.empty(dof), np.eye(dof)
+        if fusion == AOPT:
+            b, beta, rho = numbers[FORGETTING], numbers[SOFTENING], numbers[MEMORY]
+            adaptive_step(d, P, Q, st.past[kind], b, beta, rho, V[:dof], RV, left, p, dz, S, e, np.empty(n), np.empty(n))
+        else:
+            optimal_step(d, P, Q, V[:dof], RV, left, p, dz, S, e)
+    for i in range(n):
+        removed[i] = (D[i] + d[i]) * member[i]
+        clean[kind, i] = left[i] - d[i]
+    if fusion == OPTDC:
+        feed_back(d, D, total, numbers[FEEDBACK], np.empty(n))
+    for i in range(n):
+        for j in range(n):
+            for a in range(3):
+                for b in range(3):
+                    excess[a, b] += W[a, i] * P[i, j] * W[b, j]
 
 
 @jit

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.jit import jit
-from riins_core.kalman import update_joseph
 from riins_core.settings import setting
 
 from .method import Fused, FusionMethod, Table, TriadModel
-from .optimal import parity_of
+from .optimal import optimal_step
 from .wls import weigh
 
 Array = NDArray[np.float64]
@@ -52,6 +51,17 @@ def drift_factor(total: Array, D: Array, d: Array, alpha: Array) -> None:
 
 
 @jit
+def feed_back(d: Array, D: Array, total: Array, step: float, alpha: Array) -> None:
+    """Move a part of the estimated drift `d` into the compensation `D`; `alpha` (n,) is written, the rest as in `compensated_block`."""
+    drift_factor(total, D, d, alpha)
+    for i in range(d.shape[0]):
+        u = min(step * alpha[i], 1.0) * d[i]
+        D[i] += u
+        d[i] -= u  # the prediction contains the control: else the drift is counted twice
+        total[i] += abs(u)
+
+
+@jit
 def compensated_block(
     d: Array, P: Array, D: Array, total: Array, step: float, Q: Array, R: Array, V: Array, RV: Array, W: Array, z: Array,
     x: Array, cov: Array, drift: Array, compensation: Array,
@@ -71,20 +81,13 @@ def compensated_block(
     left, alpha = np.empty(n), np.empty(n)
     for k in range(z.shape[0]):
         for i in range(n):
-            P[i, i] += Q[i]
             left[i] = z[k, i] - D[i]
             compensation[k, i] = D[i]
-        if dof > 0:
-            parity_of(V, left, p)
-            update_joseph(d, P, p, V, RV, dz, S, e)
+        optimal_step(d, P, Q, V, RV, left, p, dz, S, e)
         weigh(W, left, d, R, P, x[k], cov[k])
-        drift_factor(total, D, d, alpha)
         for i in range(n):
             drift[k, i] = D[i] + d[i]
-            u = min(step * alpha[i], 1.0) * d[i]
-            D[i] += u
-            d[i] -= u  # the prediction contains the control: else the drift is counted twice
-            total[i] += abs(u)
+        feed_back(d, D, total, step, alpha)
 
 
 class DriftCompensatedFusion(FusionMethod):

@@ -10,15 +10,18 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import jit
-from riins_imu_fusion.corrections import add_excess, known, learn, unresolved_long
+from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn, unresolved_long
 from riins_imu_fusion.glr_kf_state import ACTIVE
-from riins_imu_fusion.judges import quadratic, resolve
+from riins_imu_fusion.judges import DIRECT, GLT, SVD, compare, explain_parity, largest, quadratic, resolve
+from riins_imu_fusion.noise_watch import gather
 from riins_imu_fusion.samples import check_axes, judge_out, judge_used, note_past, note_sequence, remember, wake_up
+from riins_imu_fusion.sequences import NONE as NO_SEQUENCE
+from riins_imu_fusion.sequences import feed
 
 # isort: off
 from riins_imu_fusion.state import (
     COMMAND, DONE, EVENT, FORCE_STATUS, FUSED, HAVE, LAST, NEED_TABLE, NEXT_COMMAND, QUIET, RECEIVED, REJECTED_NO_SOLUTION, REJECTED_STAMP,
-    RESTART, SEQUENCE, SOLUTION, TICK, UNRESOLVED, Block, I, Output, Rules, State, Tables, U,
+    RESTART, SEQUENCE, SEQUENCES, SOLUTION, TABLE, TEST, TICK, UNRESOLVED, B, Block, I, Output, Rules, State, Tables, U,
 )  # fmt: skip
 # isort: on
 
@@ -42,6 +45,25 @@ def without(key: np.uint64, first: int, second: int) -> np.uint64:
     if second >= 0:
         key &= ~(np.uint64(1) << np.uint64(second))
     return key
+
+
+@jit
+def in_use(kind: int, base: B) -> np.uint64:
+    """Sensors that their health machines let be used."""
+    key = np.uint64(0)
+    for i in range(base.shape[1]):
+        if base[kind, i]:
+            key |= np.uint64(1) << np.uint64(i)
+    return key
+
+
+@jit
+def need(st: State, kind: int, what: int, key: np.uint64) -> int:
+    """Say what of a set of sensors is missing before the sample can be worked in."""
+    st.need[0] = kind
+    st.need[1] = what
+    st.need_key[0] = key
+    return NEED_TABLE
 
 
 @jit
@@ -78,15 +100,13 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
         if t >= clock[NEXT_COMMAND]:
             return k, o, COMMAND
 
-        key[0] = check_axes(0, k, block.gyro, block.gyro_valid, rules.limit, rules.stuck, value, repeat, base, z, why)
-        key[1] = check_axes(1, k, block.accel, block.accel_valid, rules.limit, rules.stuck, value, repeat, base, z, why)
+        key[0] = check_axes(0, k, block.gyro, block.gyro_valid, rules.limit, rules.stuck, value, repeat, base, z, why, st.valid)
+        key[1] = check_axes(1, k, block.accel, block.accel_valid, rules.limit, rules.stuck, value, repeat, base, z, why, st.valid)
         solved = True
         for kind in range(2):
             place = find_slot(kind, tb.key, tb.filled, key[kind], slot[kind])
             if place < 0:
-                st.need[0] = kind
-                st.need_key[0] = key[kind]
-                return k, o, NEED_TABLE
+                return k, o, need(st, kind, TABLE, key[kind])
             slot[kind] = place
             used[kind] = key[kind]
             used_slot[kind] = place
@@ -100,20 +120,44 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             known(kind, st.glr[kind], z, tested)
             if dof < 1:
                 continue
-            statistic[kind] = quadratic(kind, place, dof, tb.whitened, tested)
-            if statistic[kind] <= rules.threshold[dof]:
+            if rules.test == GLT or rules.test == SVD:
+                statistic[kind] = quadratic(kind, place, dof, tb.whitened, tested)
+                loud = statistic[kind] > rules.threshold[dof]
+            else:
+                if tb.level[kind, place] < 0.0:
+                    return k, o, need(st, kind, TEST, key[kind])
+                statistic[kind] = largest(tb.rows[kind, place], tested[kind])
+                loud = statistic[kind] > tb.level[kind, place]
+            if loud:
+                alarm[kind], i, j, pointed[kind] = (
+                    compare(
+                        tb.rows[kind, place], tb.members[kind, place], tb.level[kind, place], dof, tb.whitened[kind, place],
+                        tb.gain[kind, place], tb.isolable[kind, place], tested[kind],
+                    )
+                    if rules.test == DIRECT
+                    else resolve(
+                        dof, tb.whitened[kind, place], tb.gain[kind, place], tb.pick[kind, place], tb.isolable[kind, place], tested[kind],
+                        rules.threshold,
+                    )
+                )  # fmt: skip
+            elif rules.sequential == NO_SEQUENCE:
                 continue
-            alarm[kind], i, j, pointed[kind] = resolve(
-                dof, statistic[kind], tb.whitened[kind, place], tb.gain[kind, place], tb.isolable[kind, place], tested[kind], rules.threshold
-            )
+            else:
+                if key[kind] != st.sequence.key[kind]:
+                    if key[kind] != in_use(kind, base):
+                        continue  # an axis is missing for the moment
+                    return k, o, need(st, kind, SEQUENCES, key[kind])
+                if not feed(kind, t, rules.sequential, tb.V[kind, place], dof, tested[kind], st.sequence):
+                    continue
+                alarm[kind], i, j, pointed[kind] = explain_parity(
+                    dof, st.sequence.p[kind], tb.V[kind, place], tb.isolable[kind, place], rules.threshold
+                )
             if i < 0:
                 continue
             rest = without(key[kind], i, j)
             place = find_slot(kind, tb.key, tb.filled, rest, 0)
             if place < 0:
-                st.need[0] = kind
-                st.need_key[0] = rest
-                return k, o, NEED_TABLE
+                return k, o, need(st, kind, TABLE, rest)
             if dofs[kind, place] < 0:  # they are needed for a solution: keep all, in doubt
                 alarm[kind] = UNRESOLVED
                 continue
@@ -132,8 +176,14 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     clean[kind, i] = z[kind, i]
                     output.drift[kind, o, i] = 0.0
                 for a in range(9):
-                    output.excess[kind, o, a // 3, a % 3] = 0.0
-                if rules.compensates:
+                    output.excess[kind, o, a // 3, a % 3] = tb.extra[kind, place, a // 3, a % 3]
+                if rules.fusion >= OPT:
+                    first = slot[kind]
+                    follow(
+                        kind, rules.fusion, alarm[kind], dofs[kind, first], tb.V[kind, first], tb.member[kind, place], w[kind, place], z,
+                        rules.drift, st.drift, clean, output.drift[kind, o], output.excess[kind, o],
+                    )  # fmt: skip
+                elif rules.fusion == GLR_KF:
                     glr, first = st.glr[kind], slot[kind]  # the filter learns only where nobody was left out: then both slots are one
                     if learn(
                         kind, alarm[kind], dofs[kind, first], tb.member[kind, first], z, glr, rules.glr[kind], clean,
@@ -166,6 +216,9 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                         code |= EVENT
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
+            if rules.noise:
+                gather(0, st.valid[0], z, st.noise)
+                gather(1, st.valid[1], z, st.noise)
             if grid > 0:
                 note_past(t, grid, nominal, used[0], used[1], clean, place_past, end, last, span, used_past, total)
             output.stamp[o] = t

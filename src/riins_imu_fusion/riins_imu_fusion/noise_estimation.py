@@ -36,44 +36,50 @@ class NoiseEstimate(NamedTuple):
 
 
 @jit
+def autocovariance_step(s: Array, ring: Array, sums: Array, count: Array, gain: float, V: Array, z: Array) -> None:
+    """One sample z (n,); the rest as in `autocovariance_block`."""
+    lags, dof = ring.shape
+    if count[0] == 0.0:
+        for r in range(dof):
+            s[r] = 0.0
+            for i in range(z.shape[0]):
+                s[r] += V[r, i] * z[i]
+        count[0] = 1.0
+        return
+    now = int(count[0]) % lags
+    for r in range(dof):
+        p = 0.0
+        for i in range(z.shape[0]):
+            p += V[r, i] * z[i]
+        ring[now, r] = p - s[r]
+        s[r] += gain * ring[now, r]
+    count[0] += 1.0
+    if count[0] <= 1.0 + count[1]:
+        return
+    for j in range(lags):
+        if count[0] - count[1] > 1.0 + j:
+            count[2 + j] += 1.0
+            then = now - j if now >= j else now - j + lags
+            for r in range(dof):
+                for q in range(dof):
+                    sums[j, r, q] += ring[now, r] * ring[then, q]
+
+
+@jit
 def autocovariance_block(s: Array, ring: Array, sums: Array, count: Array, gain: float, V: Array, z: Array) -> None:
     """Samples one after the other through a filter of fixed gain, (6-44)-(6-46) in parity space, and the sums of products of its innovations.
 
     Parameters
     ----------
     s : (dof,), predicted parity, in place
-    ring : (N, dof), last innovations, the newest first, in place
+    ring : (N, dof), last innovations, in place
     sums : (N, dof, dof), sums of r_(k+j) r_k', in place
     count : (2 + N,), samples of this unbroken run, samples to go until the start has faded, products in each lag; in place
     gain : of the filter, 0..1
     V, z : (dof, n), (m, n)
     """
-    lags, dof = ring.shape
     for k in range(z.shape[0]):
-        if count[0] == 0.0:
-            for r in range(dof):
-                s[r] = 0.0
-                for i in range(z.shape[1]):
-                    s[r] += V[r, i] * z[k, i]
-            count[0] = 1.0
-            continue
-        for j in range(lags - 1, 0, -1):
-            ring[j] = ring[j - 1]
-        for r in range(dof):
-            p = 0.0
-            for i in range(z.shape[1]):
-                p += V[r, i] * z[k, i]
-            ring[0, r] = p - s[r]
-            s[r] += gain * ring[0, r]
-        count[0] += 1.0
-        if count[0] <= 1.0 + count[1]:
-            continue
-        for j in range(lags):
-            if count[0] - count[1] > 1.0 + j:
-                count[2 + j] += 1.0
-                for r in range(dof):
-                    for q in range(dof):
-                        sums[j, r, q] += ring[0, r] * ring[j, q]
+        autocovariance_step(s, ring, sums, count, gain, V, z[k])
 
 
 class NoiseEstimator:
@@ -163,32 +169,51 @@ class NoiseEstimator:
         ValueError
             Fewer than 100 pairs of samples, or sensors that cannot be told apart: n (n + 1) / 2 products of parities are fewer than the unknowns.
         """
-        pairs = int(self._count[-1])
-        if pairs < 100:
-            raise ValueError("noise can be estimated from 100 pairs of samples on")
-        used = self.array.used(self._key)
-        cov = self._sums / self._count[2:, None, None]
-        cov[0] = 0.5 * (cov[0] + cov[0].T)
-        dyads = np.array([np.outer(v, v) for v in self._V[:, used].T])
-        white = dyads if self.each else np.sum(dyads, axis=0)[None]
-        inverse = np.linalg.inv(np.linalg.cholesky(cov[0]))
-        rows, right = [], []
-        a, g = 1.0 - self.gain, self.gain
-        upper = np.triu_indices(len(self._V))
-        for j in range(self.lags):
-            p = a**j / (1.0 - a * a)
-            r = g * g * p + (1.0 if j == 0 else -(a ** (j - 1)) * g)
-            weight = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0)) * (np.sqrt(0.5) if j == 0 else 1.0)
-            parts = np.concatenate([p * dyads, r * white])
-            rows.append(weight[:, None] * (inverse @ parts @ inverse.T)[:, upper[0], upper[1]].T)
-            seen = inverse @ (0.5 * (cov[j] + cov[j].T)) @ inverse.T
-            right.append(weight * seen[upper])
-        A, b = np.concatenate(rows), np.concatenate(right)
-        scale = np.linalg.norm(A, axis=0)
-        if np.linalg.matrix_rank(A / scale, tol=1e-6) < A.shape[1]:
-            raise ValueError("these sensors cannot be told apart by their parities")
-        solution = nnls(A / scale, b)[0] / scale
-        Q, R = np.full(self.array.n, np.nan), np.full(self.array.n, np.nan)
-        Q[used] = solution[: used.size]
-        R[used] = solution[used.size :]
-        return NoiseEstimate(Q, R, pairs)
+        used = self.array.used(self._key) if self._key else np.zeros(0, np.intp)
+        return solve(self._V, used, self._sums, self._count[2:], self.gain, self.each)
+
+
+def solve(V: Array, used: NDArray[np.intp], sums: Array, products: Array, gain: float, each: bool) -> NoiseEstimate:
+    """Least squares of the autocovariances, see `NoiseEstimator`.
+
+    Parameters
+    ----------
+    V : (dof, n), parity matrix with V V' = I
+    used : sensors in it
+    sums, products : (N, dof, dof), (N,), sums of r_(k+j) r_k' and their number
+    gain : of the filter
+    each : white noise of each sensor, instead of one for all
+
+    Raises
+    ------
+    ValueError
+        As `NoiseEstimator.estimate`.
+    """
+    pairs = int(products[-1])
+    if pairs < 100:
+        raise ValueError("noise can be estimated from 100 pairs of samples on")
+    cov = sums / products[:, None, None]
+    cov[0] = 0.5 * (cov[0] + cov[0].T)
+    dyads = np.array([np.outer(v, v) for v in V[:, used].T])
+    white = dyads if each else np.sum(dyads, axis=0)[None]
+    inverse = np.linalg.inv(np.linalg.cholesky(cov[0]))
+    rows, right = [], []
+    a, g = 1.0 - gain, gain
+    upper = np.triu_indices(len(V))
+    for j in range(len(products)):
+        p = a**j / (1.0 - a * a)
+        r = g * g * p + (1.0 if j == 0 else -(a ** (j - 1)) * g)
+        weight = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0)) * (np.sqrt(0.5) if j == 0 else 1.0)
+        parts = np.concatenate([p * dyads, r * white])
+        rows.append(weight[:, None] * (inverse @ parts @ inverse.T)[:, upper[0], upper[1]].T)
+        seen = inverse @ (0.5 * (cov[j] + cov[j].T)) @ inverse.T
+        right.append(weight * seen[upper])
+    A, b = np.concatenate(rows), np.concatenate(right)
+    scale = np.linalg.norm(A, axis=0)
+    if np.linalg.matrix_rank(A / scale, tol=1e-6) < A.shape[1]:
+        raise ValueError("these sensors cannot be told apart by their parities")
+    solution = nnls(A / scale, b)[0] / scale
+    Q, R = np.full(V.shape[1], np.nan), np.full(V.shape[1], np.nan)
+    Q[used] = solution[: used.size]
+    R[used] = solution[used.size :]
+    return NoiseEstimate(Q, R, pairs)

@@ -29,6 +29,16 @@ def parity_of(V: Array, z: Array, p: Array) -> None:
 
 
 @jit
+def optimal_step(d: Array, P: Array, Q: Array, V: Array, RV: Array, z: Array, p: Array, dz: Array, S: Array, e: Array) -> None:
+    """One sample z (n,); the rest as in `optimal_block`, and room for (dof,), (dof,), (dof, dof), (dof,)."""
+    for i in range(z.shape[0]):
+        P[i, i] += Q[i]
+    if V.shape[0] > 0:
+        parity_of(V, z, p)
+        update_joseph(d, P, p, V, RV, dz, S, e)
+
+
+@jit
 def optimal_block(d: Array, P: Array, Q: Array, R: Array, V: Array, RV: Array, W: Array, z: Array, x: Array, cov: Array, drift: Array) -> None:
     """Samples one after the other.
 
@@ -43,11 +53,7 @@ def optimal_block(d: Array, P: Array, Q: Array, R: Array, V: Array, RV: Array, W
     n, dof = z.shape[1], V.shape[0]
     p, dz, S, e = np.empty(dof), np.empty(dof), np.empty((dof, dof)), np.empty(dof)
     for k in range(z.shape[0]):
-        for i in range(n):
-            P[i, i] += Q[i]
-        if dof > 0:
-            parity_of(V, z[k], p)
-            update_joseph(d, P, p, V, RV, dz, S, e)
+        optimal_step(d, P, Q, V, RV, z[k], p, dz, S, e)
         weigh(W, z[k], d, R, P, x[k], cov[k])
         for i in range(n):
             drift[k, i] = d[i]

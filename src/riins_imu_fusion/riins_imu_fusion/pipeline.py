@@ -6,23 +6,28 @@ Does not live here: the inner loop (kernel.py), tables (tables.py), ROS (node.py
 
 from __future__ import annotations
 
-import heapq
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, TRIAD_CODE, Change, HealthMachine, HealthState
+from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, Change, HealthMachine, HealthState
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.parity import Capability, glt_threshold
 from riins_imu_fusion import state as K
-from riins_imu_fusion.compensation import Compensation, drift
+from riins_imu_fusion.compensation import Compensation
 from riins_imu_fusion.config import KINDS, FusionConfig
+from riins_imu_fusion.corrections import FUSION
+from riins_imu_fusion.drifts import Drifts, removed
 from riins_imu_fusion.glr_kf_state import CHANGED
+from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.kernel import fuse_samples
+from riins_imu_fusion.noise_watch import NoiseWatch
 from riins_imu_fusion.recall import Recaller
 from riins_imu_fusion.samples import note_sequence
+from riins_imu_fusion.selection import Commands, Selection, UseSensor, refusal
+from riins_imu_fusion.sequences import SEQUENTIAL_TESTS, Sequences, forget
+from riins_imu_fusion.status import Health, health_of, triad_status
 from riins_imu_fusion.tables import TableCache
 from riins_imu_fusion.types import REASON_WORDS, CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
 
@@ -32,23 +37,6 @@ RECORD_S = 0.1
 """Length of a record of the past: how finely an onset is known."""
 RECORDS_SPARE = 4
 """Records kept for each one in the window: changes of the sensors used end records early."""
-
-
-class _Command(NamedTuple):
-    effective_ns: int
-    order: int
-    kind: int
-    sensor: int
-    use: bool
-
-
-class _Health(NamedTuple):
-    """States of one kind of sensor, kept until one of them changes."""
-
-    state: tuple[int, ...]
-    reason: tuple[int, ...]
-    since_ns: tuple[int, ...]
-    in_use: int
 
 
 class FusionPipeline:
@@ -72,16 +60,23 @@ class FusionPipeline:
         self.array = config.array()
         self.n = n = self.array.n
         pfa = config.pfa()
-        self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa)
+        self._selection = Selection(config.method, config.parity_test, config.sequential_test, config.adapt_noise)
+        self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa, PARITY_TESTS[config.parity_test])
         self._statuses_wanted = statuses
         self._compensation = Compensation(config)
+        self._drifts = Drifts(config)
+        self._sequences = Sequences(config.sequence, n, config.rate_hz, 2.0 / pfa)
+        self._watch = NoiseWatch(self.array, config.noise, config.sigma())
         max_delay = round(config.max_delay_s * 1e9)
         record_s = max(RECORD_S, 1.0 / config.rate_hz)
         self._records = RECORDS_SPARE * math.ceil(config.recall_window_s / record_s) + 1
         self._rules = K.Rules(
             H=np.ascontiguousarray(self.array.H),
             limit=config.limits(),
-            threshold=np.array([math.inf, *(glt_threshold(pfa, dof) for dof in range(1, max(2, n - 2)))]),
+            fusion=0,
+            test=0,
+            sequential=0,
+            threshold=np.zeros(max(2, n - 2)),
             judge_threshold=nis_threshold(pfa, 1),
             max_delay=max_delay,
             lost_limit=math.ceil(config.max_delay_s * config.rate_hz) + 1,
@@ -90,16 +85,17 @@ class FusionPipeline:
             doubt_time=round(config.health.probation_s * 1e9),
             period=1.0 / config.rate_hz,
             record=round(record_s * 1e9) if config.recall_window_s > 0.0 else 0,
-            compensates=config.method == "glr_kf",
             glr=self._compensation.rules,
+            drift=self._drifts.numbers,
+            noise=self._watch.window_ns > 0,
         )
-        self._state = K.fresh_state(n, self._records, self._compensation.fresh())
+        self._select(self._selection)
+        self._state = self._fresh()
         self._recaller = Recaller(config, self.array, self._cache)
         self._recalls: list[Recall] = []
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
-        self._health: list[_Health | None] = [None, None]
-        self._commands: list[_Command] = []
-        self._commands_given = 0
+        self._health: list[Health | None] = [None, None]
+        self._commands = Commands()
         self._commands_refused = 0
         self._events: list[FdiEvent] = []
         self._statuses: list[FdiStatus] = []
@@ -157,7 +153,7 @@ class FusionPipeline:
                 recalls, self._recalls = tuple(self._recalls), []
                 return _fused(out, o, recalls)
             if code == K.NEED_TABLE:
-                self._cache.add(int(self._state.need[0]), int(self._state.need_key[0]))
+                self._make()
             elif code == K.RESTART:
                 self._restart(int(block.stamp[k]))
             elif code == K.COMMAND:
@@ -192,17 +188,40 @@ class FusionPipeline:
         kind_name, _, number = target.rpartition("_")
         if kind_name not in KINDS or not number.isdigit() or int(number) >= self.n:
             return self._refuse(f'no sensor "{target}": gyro_0 .. gyro_{self.n - 1}, accel_0 .. accel_{self.n - 1}')
-        clock = self._state.clock
-        last = int(clock[K.LAST]) if clock[K.HAVE] else None
-        if effective_ns == 0:
-            effective_ns = ALWAYS_NS if last is None else last + 1
-        elif last is not None and effective_ns <= last:
-            return self._refuse(f"{target}: the effective stamp passed {(last - effective_ns) * 1e-9:.3f} s ago")
-        heapq.heappush(self._commands, _Command(effective_ns, self._commands_given, KINDS.index(kind_name), int(number), use))
-        self._commands_given += 1
-        clock[K.NEXT_COMMAND] = self._commands[0].effective_ns
-        when = "the next sample" if effective_ns in (ALWAYS_NS, (last or 0) + 1) else f"{effective_ns * 1e-9:.3f} s"
+        effective_ns, when = self._due(effective_ns)
+        if when.startswith("passed"):
+            return self._refuse(f"{target}: the effective stamp {when}")
+        self._put(effective_ns, UseSensor(KINDS.index(kind_name), int(number), use))
         return CommandResult(True, effective_ns, f"{target}: {'probation' if use else 'excluded'} from {when} on")
+
+    def set_method(
+        self, fusion: str = "", parity_test: str = "", sequential_test: str = "", adapt_noise: bool = False, effective_ns: int = 0
+    ) -> CommandResult:  # fmt: skip
+        """Fuse and judge with other methods.
+
+        Parameters
+        ----------
+        fusion, parity_test, sequential_test : names as in `FusionConfig`; empty: stays
+        adapt_noise : the noise estimated while running is used
+        effective_ns : holds from the first sample with this stamp or a later one; 0: from the next sample on
+
+        Returns
+        -------
+        CommandResult; refused and counted for an unknown name or a stamp that has passed. `selected` says what will hold
+        """
+        if problem := refusal(fusion, parity_test, sequential_test):
+            return self._refuse(problem)
+        effective_ns, when = self._due(effective_ns)
+        if when.startswith("passed"):
+            return self._refuse(f"method: the effective stamp {when}")
+        now = self.selected(effective_ns)
+        chosen = Selection(fusion or now.fusion, parity_test or now.parity_test, sequential_test or now.sequential_test, adapt_noise)
+        self._put(effective_ns, chosen)
+        return CommandResult(True, effective_ns, f"{chosen.text()} from {when} on")
+
+    def selected(self, effective_ns: int | None = None) -> Selection:
+        """Methods in force, or those that will be at a stamp as far as they have been commanded."""
+        return self._selection if effective_ns is None else self._commands.selection(effective_ns, self._selection)
 
     def status(self) -> FdiStatus:
         """State after the last sample."""
@@ -241,7 +260,7 @@ class FusionPipeline:
     @property
     def drift(self) -> Array:
         """Drift removed from each sensor after the last sample, (kind, sensor) [rad/s, m/s^2]; weighted least squares removes none."""
-        return np.stack([drift(glr) for glr in self._state.glr])
+        return np.stack([removed(kind, self._rules.fusion, self._state) for kind in range(2)])
 
     def rate_covariance(self, mask: int) -> Array:
         """Covariance (3, 3) of the fused rate's white noise [(rad/s)^2], body FRD, when the gyros in `mask` are used."""
@@ -272,6 +291,7 @@ class FusionPipeline:
                     for index, change, note in self._compensation.findings(kind, glr, self._machines[kind], t):
                         self._refresh(kind, index)
                         self._changed(kind, index, change, note)
+                        forget(st.sequence, kind)
                     st.clock[K.NEXT_COMMAND] = t + 1  # the dead leave before the next sample
             solved = int(self._solved())
             if solved != int(st.clock[K.SOLUTION]):
@@ -340,12 +360,13 @@ class FusionPipeline:
     def _restart(self, stamp_ns: int) -> None:
         """A stamp jumped: begin anew; only the operator's exclusions stay."""
         jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
-        old, self._state = self._state, K.fresh_state(self.n, self._records, self._compensation.fresh())
+        self._watch.reset()
+        self._select(self._selection)  # the noise is as stated again
+        old, self._state = self._state, self._fresh()
         self._recaller.reset()
         self._state.counts[:] = old.counts
         self._state.counts[K.RESTARTS] += 1
         self._state.left_out[:] = old.left_out
-        self._state.clock[K.NEXT_COMMAND] = old.clock[K.NEXT_COMMAND]
         for machine in (m for triad in self._machines for m in triad):
             machine.reset()
         self._refresh_all()
@@ -358,14 +379,102 @@ class FusionPipeline:
                 for index, death, note in self._compensation.deaths(kind, glr, self._machines[kind], stamp_ns):
                     self._refresh(kind, index)
                     self._changed(kind, index, death, note)  # no recall: the filter has paid back what it put in
-        while self._commands and self._commands[0].effective_ns <= stamp_ns:
-            command = heapq.heappop(self._commands)
+        if self._watch.window_ns and stamp_ns >= self._window_ends:
+            self._end_window(stamp_ns)
+        while (command := self._commands.take(stamp_ns)) is not None:
+            if isinstance(command, Selection):
+                self._change_method(command, stamp_ns)
+                continue
             machine = self._machines[command.kind][command.sensor]
             change = (machine.restore if command.use else machine.exclude)(stamp_ns, int(Reason.OPERATOR))
             self._refresh(command.kind, command.sensor)
             if change is not None:
                 self._changed(command.kind, command.sensor, change)
-        self._state.clock[K.NEXT_COMMAND] = self._commands[0].effective_ns if self._commands else NEVER_NS
+        self._plan()
+
+    def _plan(self) -> None:
+        """Stamp at which the loop must come back before it goes on."""
+        due = self._commands.next_ns
+        self._state.clock[K.NEXT_COMMAND] = min(due, self._window_ends) if self._watch.window_ns else due
+
+    def _fresh(self) -> K.State:
+        """Memory before the first sample."""
+        self._window_ends = ALWAYS_NS
+        sequence = self._sequences.fresh(self._rules.sequential)
+        state = K.fresh_state(self.n, self._records, self._compensation.fresh(), self._drifts.fresh(), sequence, self._watch.fresh())
+        state.clock[K.NEXT_COMMAND] = ALWAYS_NS
+        return state
+
+    def _select(self, selection: Selection) -> None:
+        """Rules and tables of a selection with the noise that it asks for."""
+        sigma, total = self.config.sigma(), self.config.total_sigma()
+        if selection.adapt_noise:
+            sigma = self._watch.sigma
+            total = np.hypot(sigma, np.array([[self.config.gyro_bias_sigma], [self.config.accel_bias_sigma]]))
+        self._selection = selection
+        sequential, test = SEQUENTIAL_TESTS[selection.sequential_test], PARITY_TESTS[selection.parity_test]
+        pfa = self.config.pfa() * (0.5 if sequential else 1.0)
+        self._cache.change(sigma, total, pfa, test)
+        threshold = np.array([math.inf, *(glt_threshold(pfa, dof) for dof in range(1, max(2, self.n - 2)))])
+        self._rules = self._rules._replace(fusion=FUSION[selection.fusion], test=test, sequential=sequential, threshold=threshold)
+
+    def _change_method(self, selection: Selection, stamp_ns: int) -> None:
+        before = self._selection
+        self._select(selection)
+        state = self._state._replace(sequence=self._sequences.fresh(self._rules.sequential))
+        if selection.fusion != before.fusion:
+            state = state._replace(drift=self._drifts.fresh(), glr=self._compensation.fresh())
+            for kind, machines in enumerate(self._machines):
+                for index, machine in enumerate(machines):
+                    if (change := machine.recover(stamp_ns)) is not None:  # the next method removes no drift yet
+                        self._refresh(kind, index)
+                        self._changed(kind, index, change)
+        self._state = state
+        self._tell(stamp_ns, "command", -1, None, Reason.OPERATOR, f"method: {selection.text()}")
+
+    def _end_window(self, stamp_ns: int) -> None:
+        """The window of the noise estimation is over, or there was none yet."""
+        begun = self._window_ends != ALWAYS_NS
+        self._window_ends = self._watch.end(stamp_ns)
+        if not begun:
+            return
+        known = [dict(self._watch.loud(kind)) for kind in range(2)]
+        changed = self._watch.close(self._state.noise, self._state.valid)
+        for kind, name in enumerate(KINDS):
+            for index, times in self._watch.loud(kind):
+                if index not in known[kind]:
+                    self._tell(stamp_ns, name, index, None, Reason.NONE, f"{name}_{index}: noise is {times:.1f} times the stated")
+        if changed and self._selection.adapt_noise:
+            self._select(self._selection)
+            for kind in range(2):
+                forget(self._state.sequence, kind)
+            self._tell(stamp_ns, "stream", -1, None, Reason.NONE, "thresholds and weights follow the noise as estimated")
+
+    def _make(self) -> None:
+        """Make what the loop lacks of a set of sensors."""
+        st = self._state
+        kind, what, mask = int(st.need[0]), int(st.need[1]), int(st.need_key[0])
+        if what == K.TABLE:
+            self._cache.add(kind, mask)
+        elif what == K.TEST:
+            self._cache.add_test(kind, mask)
+        else:
+            bias = (self.config.gyro_bias_sigma, self.config.accel_bias_sigma)[kind]
+            test = self._cache.test(kind, mask)
+            self._sequences.begin(st.sequence, self._rules.sequential, kind, test, self._cache.white(kind, mask), bias)
+
+    def _due(self, effective_ns: int) -> tuple[int, str]:
+        """Stamp from which a command holds, and in words; the words begin with "passed" when that time has."""
+        last = self.last_stamp_ns
+        if effective_ns == 0:
+            return (ALWAYS_NS if last is None else last + 1), "the next sample"
+        if last is not None and effective_ns <= last:
+            return effective_ns, f"passed {(last - effective_ns) * 1e-9:.3f} s ago"
+        return effective_ns, "the next sample" if effective_ns == (last or 0) + 1 else f"{effective_ns * 1e-9:.3f} s"
+
+    def _put(self, effective_ns: int, command: UseSensor | Selection) -> None:
+        self._commands.put(effective_ns, command)
+        self._state.clock[K.NEXT_COMMAND] = min(int(self._state.clock[K.NEXT_COMMAND]), effective_ns)
 
     def _refuse(self, message: str) -> CommandResult:
         self._commands_refused += 1
@@ -384,6 +493,8 @@ class FusionPipeline:
         self._health[kind] = None
         if st.base[kind, index] != machine.in_use:  # the filter goes over to the other set at the next sample
             self._compensation.go_over(kind, st.glr[kind])
+            if machine.in_use:
+                self._drifts.begin(st.drift, kind, index)
         st.base[kind, index] = machine.in_use
         st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
         st.wake[:, kind, index] = machine.wakes_at_ns()
@@ -401,31 +512,8 @@ class FusionPipeline:
     def _triad(self, kind: int) -> TriadStatus:
         st, health = self._state, self._health[kind]
         if health is None:
-            machines = self._machines[kind]
-            health = self._health[kind] = _Health(
-                tuple(TRIAD_CODE[machine.state] for machine in machines),
-                tuple(machine.reason for machine in machines),
-                tuple(machine.since_ns for machine in machines),
-                sum(1 << i for i, machine in enumerate(machines) if machine.in_use),
-            )
-        tested = int(st.key[kind]) if st.clock[K.HAVE] else (1 << self.n) - 1
-        test = self._cache.test(kind, tested)
-        return TriadStatus(
-            parity=test.V @ st.z[kind],
-            statistic=float(st.statistic[kind]),
-            threshold=test.threshold,
-            dof=max(0, test.dof),
-            detected=int(st.alarm[kind]) != K.QUIET,
-            suspect=int(st.suspect[kind]),
-            state=health.state,
-            reason=health.reason,
-            since_ns=health.since_ns,
-            drift=drift(st.glr[kind]),
-            capability=self._cache.test(kind, health.in_use & tested).capability,  # of what can serve the next sample
-            doubtful=bool(st.doubt[kind]),
-            used=int(st.used[kind]),
-            left_out=st.left_out[kind].copy(),
-        )
+            health = self._health[kind] = health_of(self._machines[kind])
+        return triad_status(kind, st, health, self._cache, removed(kind, self._rules.fusion, st), self._watch.estimate[kind])
 
 
 def _fused(out: K.Output, m: int, recalls: tuple[Recall, ...]) -> FusedBlock:

@@ -31,9 +31,11 @@ def note_sequence(clock: I, counts: I, sequence: int, lost_limit: int) -> None:
 
 
 @jit
-def check_axes(kind: int, k: int, raw: F, valid: U, limit: F, stuck: int, value: F, repeat: I, base: B, z: F, why: I) -> np.uint64:
-    """Which axes of a sample can be used: why[kind, i] = 0; returns those in use among them. Nothing is remembered yet."""
-    key = np.uint64(0)
+def check_axes(
+    kind: int, k: int, raw: F, valid: U, limit: F, stuck: int, value: F, repeat: I, base: B, z: F, why: I, usable: U
+) -> np.uint64:  # fmt: skip
+    """Which axes of a sample can be used: why[kind, i] = 0, usable[kind]; returns those in use among them. Nothing is remembered yet."""
+    key, every = np.uint64(0), np.uint64(0)
     for i in range(raw.shape[1]):
         v = raw[k, i]
         reason = 0
@@ -47,8 +49,11 @@ def check_axes(kind: int, k: int, raw: F, valid: U, limit: F, stuck: int, value:
             reason = STUCK
         why[kind, i] = reason
         z[kind, i] = v if reason == 0 else 0.0
-        if reason == 0 and base[kind, i]:
-            key |= np.uint64(1) << np.uint64(i)
+        if reason == 0:
+            every |= np.uint64(1) << np.uint64(i)
+            if base[kind, i]:
+                key |= np.uint64(1) << np.uint64(i)
+    usable[kind] = every
     return key
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from riins_fdi.health import NEVER_NS
 from riins_imu_fusion.glr_kf_state import GlrRules, GlrState
+from riins_imu_fusion.sequences import SequenceState
 
 F = NDArray[np.float64]
 I = NDArray[np.int64]  # noqa: E741
@@ -32,6 +33,12 @@ LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
 CLOCK_SIZE = 6
 # elements of Past.place
 OPEN, FILLED, NEWEST = 0, 1, 2
+# what is missing, State.need[1]
+TABLE, TEST, SEQUENCES = 0, 1, 2
+# rows of DriftState.vec
+ESTIMATE, STEP, COMPENSATION, TOTAL = 0, 1, 2, 3
+# elements of Rules.drift
+FORGETTING, SOFTENING, MEMORY, FEEDBACK = 0, 1, 2, 3
 # elements of State.counts
 RECEIVED, FUSED, LOST, REJECTED_LENGTH, REJECTED_STAMP, REJECTED_NO_SOLUTION, RESTARTS = 0, 1, 2, 3, 4, 5, 6
 COUNTS_SIZE = 7
@@ -57,7 +64,7 @@ class Output(NamedTuple):
     used: U  # (2, m)
     statistic: F  # (2, m)
     drift: F  # (2, m, n), removed
-    excess: F  # (2, m, 3, 3), covariance that their uncertainty adds
+    excess: F  # (2, m, 3, 3), covariance beyond that of the stated white noise
 
 
 def room(m: int, n: int) -> Output:
@@ -73,6 +80,9 @@ class Rules(NamedTuple):
 
     H: F  # (n, 3)
     limit: F  # (2,)
+    fusion: int  # number of the fusion method, corrections.FUSION
+    test: int  # of the parity test, judges.PARITY_TESTS
+    sequential: int  # of the test over many samples, sequences.SEQUENTIAL_TESTS
     threshold: F  # (n - 2,), of the GLT by degrees of freedom; [0] is infinite
     judge_threshold: float  # of one normalized squared residual
     max_delay: int  # ns
@@ -82,8 +92,9 @@ class Rules(NamedTuple):
     doubt_time: int  # ns
     period: float  # s, nominal
     record: int  # ns, length of a record of the past; 0: none is kept
-    compensates: bool  # method glr_kf
     glr: tuple[GlrRules, GlrRules]
+    drift: F  # (4,), of opt, aopt and optdc
+    noise: bool  # the noise is estimated
 
 
 class Tables(NamedTuple):
@@ -95,10 +106,15 @@ class Tables(NamedTuple):
     W: F  # (2, s, 3, n)
     whitened: F  # (2, s, d, n)
     gain: F  # (2, s, n)
+    pick: F  # (2, s, n), weight by which the parity test names a sensor
+    rows: F  # (2, s, q, n), equations of unit variance that the parity test looks at
+    members: U  # (2, s, q), sensors of each
+    level: F  # (2, s), threshold of the largest of them; negative: not made yet
     isolable: B  # (2, s, n)
     member: F  # (2, s, n), 1: in the set
     V: F  # (2, s, d, n), parity matrix scaled to unit white noise
     reach: F  # (2, s, n), 1 / variance of the residual of a sensor outside the set
+    extra: F  # (2, s, 3, 3), covariance of the fused white noise as estimated, less that of the noise stated
 
 
 class Past(NamedTuple):
@@ -110,6 +126,25 @@ class Past(NamedTuple):
     span: F  # (r, 2), sums of dt [s] and dt^2
     used: U  # (r, 2)
     sum: F  # (r, 2, n), sum of dt z
+
+
+class DriftState(NamedTuple):
+    """Memory of opt, aopt and optdc, leading axis 2."""
+
+    vec: F  # (2, 4, n), drift left in the readings, variance of its step, part taken out of them, sum of that part's absolute steps
+    P: F  # (2, n, n), covariance of the drift
+    past: F  # (2, 2), trace of the innovation covariance, samples so far: aopt
+
+
+class NoiseState(NamedTuple):
+    """Memory of the noise estimation, leading axis 2; see noise_estimation.autocovariance_block."""
+
+    key: U  # (2,), set of sensors it works with
+    V: F  # (2, d, n)
+    s: F  # (2, d)
+    ring: F  # (2, N, d)
+    sums: F  # (2, N, d, d)
+    count: F  # (2, 2 + N)
 
 
 class State(NamedTuple):
@@ -133,6 +168,7 @@ class State(NamedTuple):
     tested: F  # (2, n), measurements without the drifts known before
     clean: F  # (2, n), without what is removed
     x: F  # (2, 3)
+    valid: U  # (2,), sensors with a value that can be used
     key: U  # (2,), set tested
     slot: I  # (2,), its table
     used: U  # (2,), set fused
@@ -143,14 +179,18 @@ class State(NamedTuple):
     suspect: I  # (2,)
     doubt: I  # (2,), 1: doubtful
     doubt_last: I  # (2,), stamp of the last unresolved alarm
-    need: I  # (1,), kind of the table that is missing
+    need: I  # (2,), kind of the table that is missing, and what of it
     need_key: U  # (1,)
     past: Past
     glr: tuple[GlrState, GlrState]
+    drift: DriftState
+    sequence: SequenceState
+    noise: NoiseState
 
 
-def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState]) -> State:
+def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState], drift: DriftState, sequence: SequenceState, noise: NoiseState) -> State:
     """State before the first sample of n sensors of each kind, with room for `records` of the past."""
+
     def whole(*shape: int) -> NDArray[np.int64]:
         return np.zeros(shape, np.int64)
 
@@ -176,6 +216,7 @@ def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState]) -> State:
         tested=np.zeros((2, n)),
         clean=np.zeros((2, n)),
         x=np.zeros((2, 3)),
+        valid=np.zeros(2, np.uint64),
         key=np.zeros(2, np.uint64),
         slot=whole(2),
         used=np.zeros(2, np.uint64),
@@ -186,7 +227,7 @@ def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState]) -> State:
         suspect=np.full(2, -1, np.int64),
         doubt=whole(2),
         doubt_last=whole(2),
-        need=whole(1),
+        need=whole(2),
         need_key=np.zeros(1, np.uint64),
         past=Past(
             place=whole(3),
@@ -197,4 +238,7 @@ def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState]) -> State:
             sum=np.zeros((records, 2, n)),
         ),
         glr=glr,
+        drift=drift,
+        sequence=sequence,
+        noise=noise,
     )

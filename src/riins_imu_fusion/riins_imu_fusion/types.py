@@ -82,9 +82,9 @@ class FusedBlock(NamedTuple):
     rate : (m, 3), rad/s, body FRD
     force : (m, 3), m/s^2, specific force, body FRD
     gyro_used, accel_used : (m,) uint64, bit i set: sensor i entered this sample
-    gyro_statistic, accel_statistic : (m,), GLT statistic of the sensors tested (before any is left out); NaN without redundancy
+    gyro_statistic, accel_statistic : (m,), parity test's statistic of the sensors tested (before any is left out); NaN without redundancy
     gyro_drift, accel_drift : (m, n), removed from each sensor
-    gyro_excess, accel_excess : (m, 3, 3), covariance that their uncertainty adds to that of the white noise, body FRD
+    gyro_excess, accel_excess : (m, 3, 3), covariance beyond that of the stated white noise: what is left of the drifts, noise as estimated; body FRD
     recalls : what is to be taken out of the integrals at some of these stamps
     """
 
@@ -159,6 +159,7 @@ class TriadStatus:
     ----------
     parity : (dof,), rad/s or m/s^2
     suspect : sensor the test points at, -1: none, or it cannot tell
+    sigma : (n,), white noise of a sample as estimated while running, rad/s or m/s^2; NaN: not yet
     doubtful : a fault was seen, within the probation time, that could not be resolved
     used : bit i set: sensor i entered the sample
     left_out : (n, 8), samples each sensor in use was left out of, by Reason
@@ -174,6 +175,7 @@ class TriadStatus:
     reason: tuple[int, ...]
     since_ns: tuple[int, ...]
     drift: Array
+    sigma: Array
     capability: Capability
     doubtful: bool
     used: int

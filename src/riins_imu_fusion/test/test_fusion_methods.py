@@ -138,7 +138,7 @@ def test_adaptive_without_new_information_is_the_optimal_filter() -> None:
     """b -> 1 with a long past, and no fading: Q stays what it was."""
     method = AdaptiveFusion(TOLD, AdaptiveSettings(forgetting=1.0 - 1e-9, softening=100.0))
     _, z = simulate(TOLD, 200, 7)
-    method._state[4][0] = 1e12  # as if fed for ever: d_k = 1e-9
+    method._state[3][1] = 1e12  # as if fed for ever: d_k = 1e-9
     np.testing.assert_allclose(method.process(z).x, OptimalFusion(TOLD).process(z).x, atol=1e-5)
 
 

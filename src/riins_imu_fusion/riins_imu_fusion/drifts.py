@@ -1,0 +1,58 @@
+"""The filters of opt, aopt and optdc in the pipeline: what they begin with, for all sensors and for one that returns.
+
+Lives here: `Drifts`, which makes and resets the memory that the loop works on, and what is removed from each sensor.
+Does not live here: the filters (optimal.py, adaptive.py, drift_compensated.py), their place in the loop (corrections.py), glr_kf (compensation.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from riins_imu_fusion import compensation
+from riins_imu_fusion import state as K
+from riins_imu_fusion.config import FusionConfig
+from riins_imu_fusion.corrections import OPT
+
+
+class Drifts:
+    """Begin of the filters.
+
+    Parameters
+    ----------
+    config : settings
+
+    Attributes
+    ----------
+    numbers : settings as the loop reads them, see state.Rules
+    """
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._models = config.drift_models()
+        a, c = config.drift.adaptive, config.drift.compensation
+        self.numbers = np.array([a.forgetting, a.softening, a.memory, c.gain / config.rate_hz])
+
+    def fresh(self) -> K.DriftState:
+        """Memory before the first sample."""
+        n = self._models[0].array.n
+        state = K.DriftState(np.zeros((2, 4, n)), np.zeros((2, n, n)), np.zeros((2, 2)))
+        for kind, model in enumerate(self._models):
+            state.vec[kind, K.STEP] = model.Q
+            state.P[kind] = np.diag(model.P)
+        return state
+
+    def begin(self, state: K.DriftState, kind: int, index: int) -> None:
+        """A sensor comes back into use: what was known of its drift is forgotten."""
+        model = self._models[kind]
+        state.vec[kind, :, index] = 0.0
+        state.vec[kind, K.STEP, index] = model.Q[index]
+        state.P[kind, index, :] = 0.0
+        state.P[kind, :, index] = 0.0
+        state.P[kind, index, index] = model.P[index]
+
+
+def removed(kind: int, fusion: int, state: K.State) -> NDArray[np.float64]:
+    """Drift removed from each sensor after the last sample (n,)."""
+    if fusion >= OPT:
+        return np.asarray(state.drift.vec[kind, K.ESTIMATE] + state.drift.vec[kind, K.COMPENSATION])
+    return compensation.drift(state.glr[kind])
