@@ -218,16 +218,24 @@ def import_file(
         Path | None, typer.Option(help="YAML list of faults to put in, as in a scenario, times from each piece's start", metavar="FILE")
     ] = None,
     options: Annotated[
-        Path | None, typer.Option(help="YAML with sections of a scenario: imu, gps, bds, doppler, navigator, ...", metavar="FILE")
+        Path | None, typer.Option(help="YAML with sections of a scenario: imu, gps, bds, doppler, navigator, ..., and recording", metavar="FILE")
     ] = None,
+    withhold: Annotated[list[str] | None, typer.Option(help="leave this aid out: gps, bds or doppler; may be repeated", metavar="AID")] = None,
+    check_units: Annotated[bool, typer.Option("--check-units/--no-check-units", help="refuse values that look like g or deg/s")] = True,
 ) -> int:
-    """Make a bag of a foreign recording: its IMU projected on six axes, its log, simulated GPS and BDS where it has none.
+    """Make a bag of a foreign recording: its IMU on six axes, or its several IMUs as they are; its log; simulated GPS and BDS where it has none.
 
     Example: [bold]riins import snapir_open.npz --out out/sea[/bold], then [bold]riins up --bag out/sea[/bold]
     """
     from riins_eval import importers
 
     sections = _read_mapping(options)
+    for aid in withhold or ():
+        if aid not in ("gps", "bds", "doppler"):
+            raise typer.BadParameter(f"--withhold takes gps, bds or doppler, not {aid}")
+        sections[aid] = {**sections.get(aid, {}), "enabled": False}
+    if not check_units:
+        sections["recording"] = {**sections.get("recording", {}), "check_units": False}
     with _Progress(f"import {file.name}") as progress:
         lines = importers.import_npz(file, out, seed=seed, noise=noise, faults=faults, options=sections, progress=progress)
     for line in lines:
@@ -391,15 +399,19 @@ def _console() -> Any:
 
 def _judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | None) -> int:
     """Print a score and its verdict; exit status by the verdict."""
-    from riins_bringup.printing import fault_table, score_table
+    from riins_bringup.printing import fault_table, score_table, sensor_table
     from riins_eval.score import verdict
 
     failures = verdict(result, expect)
-    unscored = "" if result["epochs"] else "no epoch could be scored: no reference (/truth/state) at the navigator's epochs in the time that counts"
+    unscored = "no epoch could be scored: no reference (/truth/state) at the navigator's epochs in the time that counts"
+    if result["epochs"] or result.get("scored") == "sensors":
+        unscored = ""
     console = _console()
     console.print(score_table(result))
     if result["faults"]:
         console.print(fault_table(result))
+    if any(s["first_change_s"] is not None for s in result.get("sensors", ())):
+        console.print(sensor_table(result))
     for line in failures:
         console.print(f"not as expected: {line}", style="bold red", markup=False, highlight=False)
     if unscored:

@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.table import Table
 
-from riins_eval.score import fault_rows, table
+from riins_eval.score import fault_rows, sensor_rows, table
 
 
 def score_table(result: Mapping[str, Any]) -> Table:
@@ -26,5 +26,13 @@ def fault_table(result: Mapping[str, Any]) -> Table:
     """The faults of a run and what became of them."""
     sheet = Table("target", "fault", "onset", "detected", "delay", "isolated right", "epochs fused", title="faults", title_justify="left")
     for row in fault_rows(result):
+        sheet.add_row(*row)
+    return sheet
+
+
+def sensor_table(result: Mapping[str, Any]) -> Table:
+    """The inertial sensors that changed their state."""
+    sheet = Table("sensor", "state", "first change", "reason", "drift removed", title="sensors", title_justify="left")
+    for row in sensor_rows(result):
         sheet.add_row(*row)
     return sheet

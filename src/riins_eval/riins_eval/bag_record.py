@@ -48,7 +48,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
 
     Parameters
     ----------
-    bag : rosbag2 directory with /nav/settled
+    bag : rosbag2 directory with /nav/settled, or at least /fdi/status: then there is nothing but the sensors to be read
     twins : True: sail the scenario again for the fault-free twin and the oracle where the bag lacks them; None: where that takes seconds; False: no
     progress : called with (seconds done, seconds in all) while the twins sail
     namespace : of the recorded topics; None: the one there is
@@ -65,22 +65,24 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
         It cannot be read.
     """
     with BagReader(bag, namespace) as reader:
-        if not holds(reader, "/nav/settled"):
+        fused = holds(reader, "/fdi/status") and not holds(reader, "/nav/initial_state")
+        if not holds(reader, "/nav/settled") and not fused:
             cure = "; make one with `riins navigate`" if RAW_IMU in reader.topics else ""
             raise RecordError(f"{bag} has no /nav/settled: there is no navigation in it to score{cure}")
         configuration = read_configuration(reader)
-        columns = reader.columns("/nav/settled", _STATE)
-        settled, index = _track(columns)
+        navigated = holds(reader, "/nav/settled")
+        columns = reader.columns("/nav/settled", _STATE) if navigated else {}
+        settled, index = _track(columns) if navigated else (Track.empty(), np.zeros(0, np.intp))
         start_ns = run_start(reader, configuration, settled)
-        stop_ns = int(settled.stamp_ns[-1]) + 1
+        stop_ns = int(settled.stamp_ns[-1]) + 1 if navigated else reader.end_ns
         faults = read_faults(reader, start_ns)
         ends = max(stop_ns, reader.end_ns)
         scenario = configuration.scenario
         record = RunRecord(
             _name(configuration, reader), settled, reference_at(read_reference(reader), settled.stamp_ns),
             description=scenario.description if scenario else "", covariance=_covariance(reader, settled),
-            mode=columns["mode"][index].astype(np.int64),
-            protection_radius=columns["protection_radius"][index], judged=_judged(reader),
+            mode=columns["mode"][index].astype(np.int64) if navigated else None,
+            protection_radius=columns["protection_radius"][index] if navigated else None, judged=_judged(reader),
             health=sorted(_sensor_health(reader) + _subfilter_health(reader), key=lambda c: c.stamp_ns),
             faults=fault_intervals(faults, start_ns, ends), origin_ns=start_ns,
             scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=_sensor_use(reader), samples=_samples(reader),
@@ -88,11 +90,14 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in configuration.recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
+            drift=_drift(reader), ended_ns=_last_status_ns(reader),
         )  # fmt: skip
         for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
             if holds(reader, topic):
                 setattr(record, name, _at_stamps(_track(reader.columns(topic, _STATE))[0], settled.stamp_ns))
-    if record.twin is None and twins is not False:
+    if not navigated:
+        record.notes.append("There is no initial state in the bag: fusion and fault detection ran alone, nothing was navigated.")
+    elif record.twin is None and twins is not False:
         _sail_twins(record, configuration, faults, twins, progress)
     return record
 
@@ -292,6 +297,18 @@ def _samples(reader: BagReader) -> Samples:
         late = sum(int(s.late) for s in m.subfilters)
         rejected = malformed + int(m.imu_rejected) + sum(int(s.malformed) for s in m.subfilters)
     return Samples(received, lost, late, rejected)
+
+
+def _drift(reader: BagReader) -> Floats | None:
+    """What was removed from each sensor after the last sample, (2, n)."""
+    last = _last(reader, "/fdi/status") if holds(reader, "/fdi/status") else []
+    drifts = [np.asarray(getattr(last[0][2], kind).drift, np.float64) for kind in ("gyro", "accel")] if last else []
+    return np.stack(drifts) if drifts and len(drifts[0]) == len(drifts[1]) > 0 else None
+
+
+def _last_status_ns(reader: BagReader) -> int:
+    last = _last(reader, "/fdi/status") if holds(reader, "/fdi/status") else []
+    return to_ns(last[0][2].header.stamp) if last else 0
 
 
 def _last(reader: BagReader, topic: str) -> list[Any]:

@@ -1,7 +1,7 @@
 """A foreign recording becomes a bag that the graph can replay: real IMU on redundant axes, real log, GNSS as recorded or simulated.
 
 Lives here: `import_npz`.
-Does not live here: files (npz_recording.py), settings (import_settings.py), motion between epochs (reference.py), sensors and faults (riins_sim).
+Does not live here: files (npz_recording.py), settings and sentences (import_*.py), motion (reference.py), sensors and faults (riins_sim).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from riins_sim.scenario import Scenario
 from riins_sim.sensors import PositionBlock, PositionSim, RawBlock, RedundantImuSim, VelocityBlock
 
 from . import configure
-from .import_settings import import_scenario, read_fault_list
+from .import_notes import GAP_S, import_notes, simulated_aids
+from .import_settings import import_scenario, read_fault_list, recording_settings
 from .npz_recording import ImportFailure, NpzRecording, Piece, load
 from .recording import RunWriter
 from .reference import RecordedMotion, fit_reference_lever, reference_at_imu
@@ -37,8 +38,6 @@ Progress = Callable[[float, float], None]
 EPOCH_S = 1_600_000_000
 """A recording whose own time does not look like Unix time begins here (2020-09-13T12:26:40Z)."""
 UNIX_S = 1e9
-GAP_S = 10.0
-"""Between the pieces of a recording in the bag: longer than any max_delay, so that the run restarts, and no longer to wait for than that."""
 TRUTH_HZ = 10
 CHUNK = 1000
 
@@ -62,7 +61,8 @@ def import_npz(
     seed : of sensor noise, simulated GNSS and initial errors
     noise : white noise on each of the redundant sensors; without it all sensors agree to the last bit and parity is exactly zero
     faults : as in a scenario, times counted from the start of each piece: YAML file with a list, or the list
-    options : sections of a scenario that replace DEFAULTS (imu, gps, bds, doppler, initial, outages, scoring, navigator, fusion, expect)
+    options : sections of a scenario that replace DEFAULTS (imu, gps, bds, doppler, initial, outages, scoring, navigator, fusion, expect), and
+        `recording`, see several_imus.RecordingSettings; an aid that is not `enabled` is withheld
     reference_lever_m : (3,), of the reference's point from the IMU, FRD; None: found from the recording itself, where its turns show it
     progress : called with (recorded seconds done, seconds in all)
 
@@ -77,10 +77,14 @@ def import_npz(
     BagError
         The bag cannot be written.
     """
-    recording, lever_note = _at_imu(load(path), reference_lever_m)
-    scenario = import_scenario(recording, seed, noise, read_fault_list(faults), options or {})
+    settings, sections = recording_settings(options or {})
+    recording, lever_note = _at_imu(load(path, settings), reference_lever_m)
+    scenario = import_scenario(recording, seed, noise, read_fault_list(faults), sections, settings)
     placed = _place(recording)
-    notes = [*_notes(recording, scenario, placed, noise), *lever_note]
+    outside = sum(int((~_within(p, p.piece.log_t)).sum()) for p in placed)
+    cut = sum(int(p.used.start or 0) for p in placed)
+    about = import_notes(recording, scenario, noise, any(p.has_reference for p in placed), outside, cut)
+    notes = [*recording.notes, *about, *lever_note]
     total, done = sum(p.motion.duration for p in placed), 0.0
     with RunWriter(out, "raw") as writer:
         writer.configuration(_configuration(recording, scenario, placed, notes), placed[0].start_ns)
@@ -179,13 +183,18 @@ def _write_piece(writer: RunWriter, recording: NpzRecording, scenario: Scenario,
         writer.initial_state(_initial(local, placed))
         _write_truth(writer, placed)
     for name in ("gps", "bds"):
+        if not getattr(local, name).enabled:
+            continue
         if name == "gps" and len(placed.piece.gnss):
             _write_recorded_gps(writer, recording, local, placed, schedule)
-        elif getattr(local, name).enabled and placed.has_reference:
+        elif placed.has_reference:
             _write_simulated_fixes(writer, local, placed, schedule, name)
     if local.doppler.enabled and len(placed.piece.log_t):
         _write_log(writer, local, placed, schedule)
-    _write_imu(writer, local, placed, schedule)
+    if placed.piece.sensors is None:
+        _write_imu(writer, local, placed, schedule)
+    else:
+        _write_sensors(writer, placed, schedule)
 
 
 def _write_imu(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule: FaultSchedule) -> None:
@@ -201,6 +210,25 @@ def _write_imu(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule:
         rows = number[a:b] - k0
         present = RawBlock(*(getattr(block, f.name)[rows] for f in dataclasses.fields(RawBlock)))
         writer.raw_imu(stamps[a:b], (number[a:b] & 0xFFFFFFFF).astype(np.uint32), present)
+
+
+def _write_sensors(writer: RunWriter, placed: _Placed, schedule: FaultSchedule) -> None:
+    """The sensors of several IMUs as they are; sample 0 is the origin and is not written."""
+    assert placed.piece.sensors is not None
+    gyro, accel, present = (a[placed.used][1:].copy() for a in placed.piece.sensors)
+    stamps, number = placed.stamps(placed.piece.t[placed.used])[1:], placed.motion.number[1:]
+    since = stamps - placed.start_ns
+    clean = {"gyro": gyro.copy(), "accel": accel.copy()}
+
+    def before(kind: str, t: int) -> Sample:
+        k = max(int(np.searchsorted(since, t)) - 1, 0)
+        return Sample(int(since[k]), k + 1, clean[kind][k])
+
+    bits = (present * (np.uint64(1) << np.arange(present.shape[1], dtype=np.uint64))).sum(axis=1, dtype=np.uint64)
+    gyro_valid = bits & schedule.apply_axes("gyro", since, 1, gyro, lambda t: before("gyro", t))
+    accel_valid = bits & schedule.apply_axes("accel", since, 1, accel, lambda t: before("accel", t))
+    block = RawBlock(number, since, gyro, accel, gyro_valid, accel_valid)
+    writer.raw_imu(stamps, (number & 0xFFFFFFFF).astype(np.uint32), block)
 
 
 def _write_truth(writer: RunWriter, placed: _Placed) -> None:
@@ -296,7 +324,7 @@ def _configuration(recording: NpzRecording, scenario: Scenario, placed: list[_Pl
     content["recording"] = {
         "file": recording.path.name,
         "imu_values": recording.kind or "taken as means over the sample interval; the recording does not say",
-        "simulated": _simulated(recording, scenario),
+        "simulated": simulated_aids(recording, scenario),
         "pieces": [
             {"name": p.piece.name, "start_ns": p.start_ns, "stop_ns": int(p.stamps(p.piece.t[-1:])[0]), "recorded_start_s": float(p.motion.origin)}
             for p in placed
@@ -304,38 +332,3 @@ def _configuration(recording: NpzRecording, scenario: Scenario, placed: list[_Pl
         "notes": notes,
     }
     return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=150))
-
-
-def _simulated(recording: NpzRecording, scenario: Scenario) -> list[str]:
-    recorded = any(len(p.gnss) for p in recording.pieces)
-    return [name for name in ("gps", "bds") if getattr(scenario, name).enabled and not (name == "gps" and recorded)]
-
-
-def _notes(recording: NpzRecording, scenario: Scenario, placed: list[_Placed], noise: bool) -> list[str]:
-    n = 2 * len(configure.fusion_config(scenario).array().H)
-    names = {"gps": "GPS", "bds": "BDS"}
-    notes = [f"IMU: real, projected on {n} axes ({scenario.imu.configuration})" + (
-        f" with {scenario.imu.gyro.arw_deg_sqrt_h:g} deg/sqrt(h) and {scenario.imu.accel.vrw_ug_sqrt_hz:g} ug/sqrt(Hz) of white noise put on each."
-        if noise else " without noise of their own: the sensors agree exactly, parity is zero."
-    )]  # fmt: skip
-    if not recording.kind:
-        notes.append("The recording does not say whether IMU values are means over the interval or instantaneous: they are taken as means.")
-    if scenario.doppler.enabled:
-        outside = sum(int((~_within(p, p.piece.log_t)).sum()) for p in placed)
-        notes.append("Doppler log: as recorded" + (f"; {outside} measurements outside the IMU's time are left out." if outside else "."))
-    for name in ("gps", "bds"):
-        if name in _simulated(recording, scenario):
-            sigma = ", ".join(f"{s:g}" for s in getattr(scenario, name).sigma_m)
-            notes.append(f"{names[name]}: SIMULATED from the reference with white errors of {sigma} m (north, east, down).")
-    if not any(p.has_reference for p in placed):
-        notes.append("There is no reference: no truth and no initial state; give one with SetInitialState.")
-    else:
-        notes.append(
-            "Truth: the recording's reference, brought to 10 Hz by the IMU between its epochs; a score is a distance to it, not an accuracy."
-        )
-    cut = sum(int(p.used.start or 0) for p in placed)
-    if cut:
-        notes.append(f"{cut} IMU samples before the reference begins are left out.")
-    if len(placed) > 1:
-        notes.append(f"The pieces follow each other with gaps of {GAP_S:g} s, at which the run restarts.")
-    return notes

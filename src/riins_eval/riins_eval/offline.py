@@ -144,6 +144,8 @@ class _Voyage:
         for lane in self._lanes():
             lane.finish()
         self._write_settled(writer)
+        if writer is not None:
+            writer.inertial(self.pipeline.status())  # what the last samples made of it
         seconds = time.perf_counter() - began
         made = self._record(self.imu.samples * self.trajectory.dt / seconds)
         if writer is not None:
@@ -253,7 +255,7 @@ class _Voyage:
             samples=samples(counters, report), n_sensors=self.pipeline.n,
             twin=settled if self.same else self.twin.track if self.twin else None,
             oracle=settled if self.same else self.oracle.track if self.oracle else None,
-            realtime_factor=realtime_factor, aid_fixes=fixes, expect=dict(self.scenario.expect),
+            realtime_factor=realtime_factor, aid_fixes=fixes, expect=dict(self.scenario.expect), drift=self.pipeline.drift, ended_ns=end_ns,
         )  # fmt: skip
 
 

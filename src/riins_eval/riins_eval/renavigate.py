@@ -66,7 +66,7 @@ def navigate(
     overrides: dict[str, Any] | None = None,
     namespace: str | None = None,
 ) -> RunResult:
-    """Fuse and navigate from the raw topics of a bag, with the settings that are in it.
+    """Fuse and navigate from the raw topics of a bag, with the settings that are in it; without an initial state the fusion runs alone.
 
     Parameters
     ----------
@@ -84,15 +84,13 @@ def navigate(
     Raises
     ------
     RecordError
-        The bag lacks raw samples, an initial state or its configuration.
+        The bag lacks raw samples or its configuration; a simulated run lacks its initial state; that does not belong to the samples.
     BagError, SettingError
     """
     with BagReader(bag_in, namespace) as reader:
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
-        if not holds(reader, INITIAL_TOPIC):
-            raise RecordError(f"{bag_in} has no {INITIAL_TOPIC}: the navigator would never start")
         run = _Run(reader, configuration)
         if bag_out is None or record == "none":
             return run.through(None, progress)
@@ -111,6 +109,11 @@ class _Run:
         self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
         self._newest = -(2**62)
         self.notes: list[str] = []
+        self._alone = not holds(reader, INITIAL_TOPIC)
+        if self._alone and configuration.simulated:
+            raise RecordError(f"{reader.path} has no {INITIAL_TOPIC}: the navigator would never start")
+        if self._alone:
+            self.notes.append("There is no initial state in the bag: fusion and fault detection ran alone, nothing was navigated.")
 
     def through(self, writer: RunWriter | None, progress: Callable[[float, float], None] | None) -> RunResult:
         """Everything, in windows of about 10 s of log time."""
@@ -135,6 +138,7 @@ class _Run:
         self.lane.finish()
         if writer is not None:
             self._write(writer)
+            writer.inertial(self.pipeline.status())  # what the last samples made of it
         seconds = time.perf_counter() - began
         made = self._record(seconds)
         return RunResult(made, scoring.score(made), seconds)
@@ -201,6 +205,8 @@ class _Run:
 
     def _feed(self, part: _Window, fused: FusedBlock) -> None:
         """Aids before the samples, as the block is one; what had come too late live comes after them, and is late again."""
+        if self._alone:
+            return
         late: list[Aid] = []
         newest = np.maximum.accumulate(np.maximum(part.stamp_ns, self._newest)) if len(part.stamp_ns) else part.stamp_ns
         early: list[Aid] = []
@@ -235,7 +241,7 @@ class _Run:
     def _record(self, seconds: float) -> RunRecord:
         lane, reader, configuration = self.lane, self.reader, self.configuration
         settled = lane.track
-        if not len(settled):
+        if not len(settled) and not self._alone:
             delay = configuration.navigator.max_delay_s
             raise RecordError(f"{reader.path}: the navigator never started; is the initial state within {delay:g} s of an IMU sample?")
         start_ns = run_start(reader, configuration, settled)
@@ -246,7 +252,7 @@ class _Run:
             description=scenario.description if scenario else "", covariance=lane.covariance,
             protection_radius=lane.protection_radius, mode=lane.mode,
             judged=lane.judged_arrays, health=sorted(self.fusion.health + lane.health, key=lambda c: c.stamp_ns),
-            faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1)),
+            faults=fault_intervals(read_faults(reader, start_ns), start_ns, max(reader.end_ns, int(settled.stamp_ns[-1]) + 1 if len(settled) else 0)),
             origin_ns=start_ns,
             scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=self.fusion.use,
             samples=samples(counters, report),
@@ -254,6 +260,7 @@ class _Run:
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
+            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0,
         )  # fmt: skip
 
 

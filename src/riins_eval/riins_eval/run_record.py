@@ -235,6 +235,8 @@ class RunRecord:
     aid_fixes : positions of the position aids {name: (stamp_ns, lat, lon)}, for the track
     expect : what the scenario promises (score.verdict)
     notes : what the reader must know (simulated aids, unknown things)
+    drift : (2, n), removed from each gyro [rad/s] and accelerometer [m/s^2] at the end of the run, None when not known
+    ended_ns : stamp of the last IMU sample, 0: not known; for a run that was fused but not navigated
     """
 
     name: str
@@ -259,11 +261,18 @@ class RunRecord:
     aid_fixes: dict[str, tuple[Stamps, Floats, Floats]] = dataclasses.field(default_factory=dict)
     expect: dict[str, Any] = dataclasses.field(default_factory=dict)
     notes: list[str] = dataclasses.field(default_factory=list)
+    drift: Floats | None = None
+    ended_ns: int = 0
 
     @property
     def start_ns(self) -> int:
         """Stamp that times are counted from."""
         return self.origin_ns if self.origin_ns is not None else int(self.settled.stamp_ns[0]) if len(self.settled) else 0
+
+    @property
+    def last_ns(self) -> int:
+        """Stamp the run ends at: the last settled epoch, or the last IMU sample; 0: not known."""
+        return int(self.settled.stamp_ns[-1]) if len(self.settled) else self.ended_ns
 
     def between(self, start_ns: int, stop_ns: int) -> RunRecord:
         """The part of the run with stamps in [start_ns, stop_ns]; counters and pieces are dropped, they belong to the whole."""
@@ -281,5 +290,5 @@ class RunRecord:
             judged={k: j.take((j.stamp_ns >= start_ns) & (j.stamp_ns <= stop_ns)) for k, j in self.judged.items()},
             health=[c for c in self.health if start_ns <= c.stamp_ns <= stop_ns],
             faults=[f for f in self.faults if f.start_ns <= stop_ns and f.end_ns > start_ns],
-            samples=Samples(), pieces=[], expect={}, origin_ns=start_ns,
+            samples=Samples(), pieces=[], expect={}, origin_ns=start_ns, drift=None, ended_ns=min(self.ended_ns, stop_ns),
         )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import metrics
-from .run_record import HEALTHY, FaultInterval, HealthChange, RunRecord, is_imu_sensor
+from .run_record import HEALTHY, SENSOR_REASONS, SENSOR_STATES, FaultInterval, HealthChange, RunRecord, is_imu_sensor
 
 ARCMIN = 180.0 * 60.0 / math.pi
 Score = dict[str, Any]
@@ -33,6 +33,8 @@ def score(record: RunRecord) -> Score:
     dict, JSON-ready, keys as in docs/json.md; None (null) where the run does not say
     """
     result = _numbers(record)
+    unknown = not len(record.settled) or (bool(record.pieces) and not np.isfinite(record.truth.lat).any())
+    result["scored"] = "sensors" if unknown else "navigation"
     result["samples"] = {
         "received": record.samples.received, "lost": record.samples.lost, "late": record.samples.late, "rejected": record.samples.rejected,
     }  # fmt: skip
@@ -55,7 +57,7 @@ def score_bag(bag: str | Path, twins: bool | None = None, progress: Callable[[fl
 
     Parameters
     ----------
-    bag : rosbag2 directory with /nav/settled and a truth (/truth/state or /truth/odometry)
+    bag : rosbag2 directory with /nav/settled and a truth (/truth/state or /truth/odometry); without them the sensors alone are scored
     twins : sail the fault-free twin and the oracle again where the bag lacks them; None: where it is cheap
     progress : called with (seconds done, seconds in all)
 
@@ -122,6 +124,17 @@ def table(result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
+def sensor_rows(result: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+    """Rows (sensor, state, first change, reason, drift) of the inertial sensors that ever changed, for people."""
+    rows = []
+    for sensor in result["sensors"]:
+        if sensor["first_change_s"] is not None:
+            scale, unit = (math.degrees(1.0), "deg/s") if sensor["kind"] == "gyro" else (1.0, "m/s^2")
+            drift = f"{sensor['drift'] * scale:+.3g} {unit}" if sensor["drift"] else "-"
+            rows.append((f"{sensor['kind']}_{sensor['index']}", sensor["state"], f"{sensor['first_change_s']:.2f} s", sensor["reason"], drift))
+    return rows
+
+
 def fault_rows(result: Mapping[str, Any]) -> list[tuple[str, str, str, str, str, str, str]]:
     """Rows (target, type, onset, detected, delay, isolated right, fused) of the fault table for people."""
     rows = []
@@ -148,7 +161,7 @@ def _numbers(record: RunRecord) -> Score:
     wrong = metrics.false_isolations(record.health, record.faults)
     return {
         "name": record.name,
-        "duration_s": _seconds(settled.stamp_ns[-1] - record.start_ns) if len(settled) else None,
+        "duration_s": _seconds(record.last_ns - record.start_ns) if record.last_ns else None,
         "epochs": int(np.isfinite(length).sum()),
         "position_rms_m": _number(metrics.rms(position)),
         "velocity_rms_mps": _number(metrics.rms(velocity)),
@@ -165,6 +178,7 @@ def _numbers(record: RunRecord) -> Score:
         "missed_isolations": sum(not _outcome(record, f).isolated for f in record.faults),
         "false_isolations": len(wrong),
         "false_isolations_list": [_change(record, c) for c in wrong],
+        "sensors": _sensors(record),
         "subfilters": {name: _subfilter(record, name) for name in sorted(record.judged)},
     }  # fmt: skip
 
@@ -194,6 +208,20 @@ def _epochs_fused(record: RunRecord, fault: FaultInterval) -> int | None:
         return record.use.samples_with(fault.target, fault.start_ns, fault.end_ns)
     until = min([fault.end_ns, *(c.stamp_ns for c in record.health if c.target == fault.target and c.state == HEALTHY and c.stamp_ns > declared)])
     return record.use.samples_with(fault.target, declared, until)
+
+
+def _sensors(record: RunRecord) -> list[Score]:
+    """State of every inertial sensor at the end, gyros first."""
+    listed = []
+    for number, kind in enumerate(("gyro", "accel")):
+        for index in range(record.n_sensors):
+            own = [c for c in record.health if c.target == f"{kind}_{index}"]
+            state, reason = (own[-1].state, own[-1].reason) if own else (HEALTHY, 0)
+            first = _seconds(own[0].stamp_ns - record.start_ns) if own else None
+            drift = _number(record.drift[number, index]) if record.drift is not None else None
+            words = {"state": SENSOR_STATES[state], "first_change_s": first, "reason": SENSOR_REASONS[reason], "drift": drift}
+            listed.append({"kind": kind, "index": index, **words})
+    return listed
 
 
 def _subfilter(record: RunRecord, name: str) -> Score:

@@ -11,8 +11,10 @@ import pytest
 import yaml
 
 from riins_bag.bag import BagReader
+from riins_core.earth import earth_rate_n
 from riins_core.rotation import dcm_from_euler, euler_from_dcm, skew
-from riins_eval import importers, npz_recording, offline
+from riins_eval import import_notes, importers, npz_recording, offline, units
+from riins_eval.import_settings import recording_settings
 from riins_eval.importers import ImportFailure, import_npz
 from riins_eval.score import score_bag
 from riins_sim.scenario import from_yaml
@@ -115,7 +117,7 @@ def test_the_bag_says_what_is_simulated(imported):
         content = yaml.safe_load(reader.configuration())
         assert content["recording"]["simulated"] == ["gps", "bds"]
         first, second = content["recording"]["pieces"]
-        assert second["start_ns"] - first["stop_ns"] == importers.GAP_S * 1e9
+        assert second["start_ns"] - first["stop_ns"] == import_notes.GAP_S * 1e9
         assert second["recorded_start_s"] - first["recorded_start_s"] == pytest.approx(300.0, abs=0.02)
         assert reader.topics["/nav/initial_state"][1] == 2 and reader.start_ns == first["start_ns"] == importers.EPOCH_S * 10**9
         stamps = reader.columns("/rimu/raw", ("header.stamp", "sequence"))
@@ -204,6 +206,8 @@ def test_a_recording_without_a_reference_has_no_truth_and_says_so(tmp_path):
     assert any("no initial state" in line for line in lines)
     with BagReader(tmp_path / "bag") as reader:
         assert set(reader.topics) == {"/riins/configuration", "/rimu/raw", "/doppler/velocity"}
+    result = offline.navigate(tmp_path / "bag").score
+    assert result["scored"] == "sensors" and result["epochs"] == 0 and result["position_rms_m"] is None and len(result["sensors"]) == 12
 
 
 def test_unix_time_is_kept_and_lost_samples_stay_lost(tmp_path):
@@ -222,6 +226,12 @@ def test_unix_time_is_kept_and_lost_samples_stay_lost(tmp_path):
     assert result["samples"]["lost"] == 4 and result["position_rms_m"] < 3.0
 
 
+def _timeless() -> np.ndarray:
+    truth = make_recording((1,))["truth"]
+    truth[3, 0] = np.nan
+    return truth
+
+
 def bad_recordings() -> list[tuple[str, dict, str]]:
     """Name, change of the arrays (None: take out), words of the failure."""
     spoiled = np.zeros((8000, 3))
@@ -229,7 +239,9 @@ def bad_recordings() -> list[tuple[str, dict, str]]:
     return [
         ("without gyros", {"gyro_0": None}, "gyro_0 is missing"),
         ("nan", {"gyro_0": spoiled}, "gyro_0 has 1 rows that are not finite, the first is row 17"),
-        ("four imus", {"n_imu": np.array(4)}, "4 IMUs"),
+        ("second imu", {"n_imu": np.array(2)}, "gyro_1 is missing"),
+        ("no imu", {"n_imu": np.array(0)}, "n_imu is 0"),
+        ("truth time", {"truth": _timeless()}, "row 3 of truth has values but no time"),
         ("shape", {"accel_0": np.zeros((10, 3))}, "accel_0 has shape"),
         ("text", {"imu_t": np.array(["a"] * 8000)}, "not numbers"),
         ("backwards", {"imu_t": -np.arange(8000.0)}, "does not increase"),
@@ -308,7 +320,31 @@ def test_the_sea_recording_navigates_with_all_aids_and_with_the_log_alone(tmp_pa
     assert all(p["position_rms_m"] < 20.0 and p["velocity_rms_mps"] < 0.05 for p in alone["pieces"])  # the start alone is 5 m off in each axis
 
 
-@pytest.mark.skipif(not (DATA / "quad4imu.npz").is_file(), reason="the recording with four IMUs is not on this machine (../shared/data/quad4imu.npz)")
-def test_the_recording_with_four_imus_is_refused_clearly(tmp_path):
-    with pytest.raises(ImportFailure, match="4 IMUs"):
-        import_npz(DATA / "quad4imu.npz", tmp_path / "bag")
+def test_units_that_cannot_be_meant_are_refused_unless_one_insists(recording, tmp_path):
+    arrays = make_recording((1,))
+    wrong = (("accel_0", 1.0 / 9.80665, "looks like g"), ("gyro_0", 180.0 / np.pi, "look like deg/s"), ("accel_0", 3.0, "gravity is"))
+    for name, scale, words in wrong:
+        file = save(tmp_path / "scaled.npz", {**arrays, name: arrays[name] * scale})
+        with pytest.raises(ImportFailure, match=words) as failure:
+            npz_recording.load(file)
+        assert "\n" not in str(failure.value) and "--no-check-units" in str(failure.value)
+        settings, _ = recording_settings({"recording": {"check_units": False}})
+        assert npz_recording.load(file, settings).rate_hz == 100
+
+
+def test_a_still_gyro_shows_its_unit_by_the_earth_rate_and_a_bias_alone_shows_nothing():
+    t = np.arange(0.0, 60.0, 0.01)
+    reference = np.column_stack([np.arange(0.0, 60.0), np.tile([0.6, 0.6, 0.0, 0, 0, 0, 0, 0, 0.3], (60, 1))])
+    w = dcm_from_euler(0.0, 0.0, 0.3).T @ earth_rate_n(0.6)
+    force = np.tile([0.0, 0.0, -9.8], (len(t), 1))
+    noise = np.random.default_rng(1).normal(0.0, 1e-5, (len(t), 3))
+    assert units.implausible(t, w + noise, force, reference) == ""
+    assert "deg/s" in units.implausible(t, np.degrees(w + noise), force, reference)
+    assert units.implausible(t, np.array([0.004, -0.002, 0.003]) + noise, force, reference) == ""
+
+
+def test_rows_of_the_reference_without_anything_in_them_are_left_out_and_counted(tmp_path):
+    arrays = make_recording((1,))
+    arrays["truth"][[5, 9]] = np.nan
+    loaded = npz_recording.load(save(tmp_path / "empty.npz", arrays))
+    assert len(loaded.pieces[0].reference) == len(arrays["truth"]) - 2 and "2 empty rows of truth" in loaded.notes[0] and "row 5" in loaded.notes[0]

@@ -134,7 +134,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.name.replace("_", "").replace("-", "").isalnum():
             raise SettingError(f'"name" must be letters, digits, "_" and "-", not {self.name!r}', ("name",))
-        sensors = CONFIGURATIONS[self.imu.configuration].shape[0]
+        sensors = len(self.fusion.get("geometry") or ()) // 3 or CONFIGURATIONS[self.imu.configuration].shape[0]
         for i, fault in enumerate(self.faults):
             word, _, number = fault.target.partition("_")
             if number and int(number) >= sensors:
