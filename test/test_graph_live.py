@@ -24,6 +24,8 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_msgs.msg import String
 
+from riins_bag.bag import BagReader, BagWriter
+from riins_bag.recording import RAW_TOPICS, selected
 from riins_bringup.graph import GraphSettings, build_graph
 from riins_bringup.live import LiveRun
 from riins_eval import offline
@@ -40,6 +42,7 @@ from riins_msgs.msg import (
     SubfilterStatus,
     TriadFdi,
 )
+from riins_node import fields
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/other_stack/navigation_display.py"
 DURATION = 15.5  # the last aids come half a second before the last IMU sample: all are judged
@@ -357,12 +360,29 @@ def test_live_counters_equal_offline(run, offline_bag):
     assert live == {s.name: (s.accepted, s.rejected, s.late, s.malformed) for s in with_offline.subfilters}
 
 
-@pytest.mark.parametrize(("rate", "namespace"), [(1.0, "ship1"), (3.0, "")])
-def test_replay_equals_offline(run, offline_bag, rate, namespace, tmp_path):
-    """At the recorded pace, in a namespace, and at three times the pace."""
-    prefix = f"/{namespace}" if namespace else ""
+def told(source: Path, out: Path, start_ns: int) -> None:
+    """The raw topics of a recording as one made in a namespace, with commands that came behind the stamps from which they hold."""
+    commands = [("gyro_5", False, 0), ("bds", False, 4.0), ("accel_1", False, 5.005), ("bds", True, 8.0), ("gyro_5", True, 9.0)]
+    with BagReader(source) as reader, BagWriter(out, flush_period_s=0.0) as writer:
+        for topic, msgtype, data, log_ns in reader.messages([t for t in reader.topics if selected(t, RAW_TOPICS)]):
+            name = topic if topic == "/riins/configuration" else f"/fleet/ship2{topic}"
+            writer.write(name, msgtype, data, log_ns, reader.qos(topic) or "navigation")
+        for target, use, at_s in commands:
+            stamp = start_ns + round(at_s * 1e9) if at_s else 0
+            content = fields.sensor_use(stamp, target, use)
+            writer.write_message("/fleet/ship2/nav/commands", "riins_msgs/msg/SensorUse", content, (stamp or start_ns) + 50_000_000, "commands")
+
+
+@pytest.mark.parametrize(("rate", "namespace", "commanded"), [(1.0, "ship1", False), (3.0, "", True)])
+def test_replay_equals_offline(run, offline_bag, rate, namespace, commanded, tmp_path):
+    """At the recorded pace, in a namespace, and at three times the pace a recording of another namespace, with commands."""
+    prefix, bag = f"/{namespace}" if namespace else "", run.bag
+    if commanded:
+        bag, offline_bag = tmp_path / "told", tmp_path / "offline"
+        told(run.bag, bag, run.start_ns)
+        offline.navigate(bag, offline_bag, record="nav")
     with own_domain(tmp_path):
-        graph = build_graph(GraphSettings(bag=str(run.bag), rate=rate, namespace=namespace))
+        graph = build_graph(GraphSettings(bag=str(bag), rate=rate, namespace=namespace))
         topics = {f"{prefix}/nav/settled": NavState, f"{prefix}/fdi/status": InertialFdi, f"{prefix}/nav/subfilters": FederatedStatus}
         with Listener(topics) as listener, LiveRun(graph, tmp_path / "logs") as live:
             live.start()
@@ -374,4 +394,10 @@ def test_replay_equals_offline(run, offline_bag, rate, namespace, tmp_path):
     settled = {ns(m.header.stamp): m for m in listener.messages[f"{prefix}/nav/settled"]}
     assert_law_2(settled, by_stamp(offline_bag, "/nav/settled"))
     until = max(settled)
-    assert decisions(listener.messages[f"{prefix}/fdi/status"], until) == decisions(run.messages["/fdi/status"], until)
+    recorded = decisions(list(by_stamp(offline_bag, "/fdi/status").values()), until)
+    assert decisions(listener.messages[f"{prefix}/fdi/status"], until) == recorded
+    if commanded:
+        excluded = {(kind, i) for _, kind, i, state in recorded if state == TriadFdi.EXCLUDED}
+        assert excluded == {(0, 5), (1, 1)}
+        health = {s.state for m in listener.messages[f"{prefix}/nav/subfilters"] for s in m.subfilters if s.name == "bds"}
+        assert SubfilterStatus.EXCLUDED in health

@@ -59,7 +59,7 @@ def of_topic(topic: str) -> Qos:
     """Profile of a topic of our graph that is written without naming one."""
     if topic in LATCHED_TOPICS:
         return NAMED["latched"]
-    if topic == "/nav/commands":
+    if topic in ("/nav/commands", "/fdi/method"):
         return NAMED["commands"]
     return NAMED["imu" if topic == "/rimu/raw" else "navigation"]
 

@@ -1,6 +1,6 @@
 """What the recorder and the player are told and what they do beside ROS.
 
-Lives here: `RecorderConfig`, `PlayerConfig`, `RAW_TOPICS`, `selected`, `Spool` (the thread that writes), `Counter`.
+Lives here: `RecorderConfig`, `PlayerConfig`, `RAW_TOPICS`, `AHEAD_TOPICS`, `selected`, `Spool` (the thread that writes), `Counter`.
 Does not live here: subscriptions, publishers, QoS of rclpy (nodes/).
 """
 
@@ -19,7 +19,9 @@ from riins_bag.typesys import require
 from riins_bag.writer import BagWriter
 from riins_core.settings import setting
 
-RAW_TOPICS = ("/rimu/raw", "/gps/*", "/bds/*", "/doppler/*", "/nav/initial_state", "/truth/*", "/riins/configuration")
+AHEAD_TOPICS = ("/nav/commands", "/fdi/method")
+"""Their messages say from which stamp they hold and may have been recorded behind it: they are played before the first sample."""
+RAW_TOPICS = ("/rimu/raw", "/gps/*", "/bds/*", "/doppler/*", "/nav/initial_state", "/truth/*", "/riins/configuration", *AHEAD_TOPICS)
 TICK_S = 0.05  # how often the writing thread looks for messages
 SPOOL_BYTES = 256 * 1024 * 1024  # what may wait for a slow disk
 
@@ -44,12 +46,14 @@ class PlayerConfig:
     """Settings of the player node."""
 
     path: str = setting("", "bag directory or .mcap file")
+    namespace: str = setting("", "namespace of the recorded topics, which are played without it; empty: as they are")
     rate: float = setting(1.0, "recorded time over wall time", "", 0.001, 1000.0)
     start_offset_s: float = setting(0.0, "where to begin, from the first message that is not latched", "s", 0.0)
     loop: bool = setting(False, "begin again at the end; stamps then go back, which consumers announce as a restart")
-    topics: tuple[str, ...] = setting((), "topics to play, * and ? allowed; empty: what sensors and truth published")
+    topics: tuple[str, ...] = setting((), "topics to play, * and ? allowed; empty: what sensors, operators and truth published")
     publish_clock: bool = setting(False, "publish the log time on /clock, 100 times a second of recorded time")
     wait_for: tuple[str, ...] = setting((), "topics that must have a subscriber before the first message; empty: those of redundant IMUs")
+    subscribers: tuple[int, ...] = setting((), "how many subscribers each of these topics must have, in their order; empty: one", "", 1, 100)
     wait_timeout_s: float = setting(0.0, "give up when they have none after this time; 0: wait for ever", "s", 0.0)
     depth: int = setting(400, "queue of each publisher whose recorded depth is not known", "messages", 1, 100000)
 

@@ -17,7 +17,7 @@ from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import String
 
 from riins_bag.bag import BagWriter
-from riins_msgs.msg import RedundantImu
+from riins_msgs.msg import RedundantImu, SensorUse
 
 
 @pytest.fixture
@@ -89,6 +89,32 @@ def test_start_offset_keeps_what_was_latched_and_loop_begins_again(graph: Graph)
     assert configuration == ["scenario: {name: test}\n"]
 
 
+def test_commands_come_before_the_first_sample_and_all_that_were_told_to_wait_for_hear_it(graph: Graph) -> None:
+    with BagWriter(graph.folder / "bag") as writer:
+        fill_bag(writer, 50)
+        for k, target in ((0, "gps"), (20, "gyro_2")):  # recorded behind the stamp from which it holds
+            writer.write_message(
+                "/nav/commands", "riins_msgs/msg/SensorUse", {"header": {"stamp": EPOCH_NS + k * DT_NS}, "target": target}, EPOCH_NS + 40 * DT_NS
+            )
+    player = graph.start("player", {"path": str(graph.folder / "bag"), "wait_for": ["/rimu/raw", "/nav/commands"], "subscribers": [2, 1]})
+    heard: list[str] = []
+    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    graph.node.create_subscription(SensorUse, "/nav/commands", lambda m: heard.append(m.target), latched)
+    first: list[int] = []
+    graph.node.create_subscription(RedundantImu, "/rimu/raw", lambda m: first.append(m.sequence), 1000)
+    graph.until(lambda: graph.node.count_publishers("/rimu/raw") == 1)
+    end = time.monotonic() + 0.5
+    graph.until(lambda: time.monotonic() > end)
+    assert player.poll() is None and not first  # one of two listens
+    late: list[tuple[int, int]] = []
+    graph.node.create_subscription(RedundantImu, "/rimu/raw", lambda m: late.append((m.sequence, len(heard))), 1000)
+    graph.until(lambda: len(late) == 50)
+    _, err = player.communicate(timeout=20)
+    assert player.returncode == 0, err
+    assert first == [k for k, _ in late] == list(range(1, 51)) and heard == ["gps", "gyro_2"]
+    assert late[0][1] == 2, "a command came after a sample"
+
+
 def test_bad_use_is_refused_in_one_line(graph: Graph) -> None:
     bag = str(make_bag(graph.folder / "bag", 100))
     with BagWriter(graph.folder / "old") as old:
@@ -103,9 +129,11 @@ def test_bad_use_is_refused_in_one_line(graph: Graph) -> None:
         ({"path": str(cut)}, 2, "riins bag recover"),
         ({"path": bag, "topics": ["/nothing"]}, 2, "has none of /nothing; it has /gps/fix, /nav"),
         ({"path": bag, "wait_for": ["/rimu/rw"]}, 2, 'did you mean "/rimu/raw"'),
+        ({"path": bag, "wait_for": ["/rimu/raw"], "subscribers": [1, 2]}, 2, "one number for each of /rimu/raw, not 2"),
+        ({"path": bag, "namespace": "ship"}, 2, "nothing in the namespace ship"),
         ({"path": bag, "rate": 0}, 2, "0.001 .. 1000"),
         ({"path": bag, "start_offset_s": 5.0}, 2, "behind the end of the bag"),
-        ({"path": bag, "wait_timeout_s": 0.5}, 1, "no subscriber on /rimu/raw after 0.5 s"),
+        ({"path": bag, "wait_timeout_s": 0.5}, 1, "not enough subscribers on /rimu/raw (0 of 1) after 0.5 s"),
         ({"path": str(graph.folder / "old")}, 1, "differs from the installed one"),
     ]
     for begin in range(0, len(cases), 3):  # a few at once: each start costs a second

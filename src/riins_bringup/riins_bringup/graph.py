@@ -234,18 +234,23 @@ def replay_graph(settings: GraphSettings) -> Graph:
     from riins_bag.recording import RAW_TOPICS, selected
     from riins_eval.run_configuration import read_configuration
 
-    with BagReader(settings.bag) as bag:
+    with BagReader(settings.bag, None) as bag:
         recorded, topics = read_configuration(bag), set(bag.topics)
         if IMU_TOPIC not in topics:
             raise BagError(f"{settings.bag} has no {IMU_TOPIC}: there is nothing to navigate from")
         first_ns, last_ns = bag.span_ns(IMU_TOPIC)
+        namespace = bag.namespace
     nodes = _consumers(settings, recorded.fusion, recorded.navigator, recorded.text)
     raw = sorted(t for t in topics if selected(t, RAW_TOPICS))
-    heard = {t for n in nodes for t in n.subscribes}
+    # the recorder, too, must hear the first sample
+    listeners = {t: sum(t.strip("/") in n.subscribes or n.role == "observer" for n in nodes) for t in raw}
+    listeners = {t: number for t, number in listeners.items() if number}
     parameters = {
         "path": str(Path(settings.bag).absolute()),
+        "namespace": namespace,
         "rate": settings.rate,
-        "wait_for": [t for t in raw if t.strip("/") in heard],
+        "wait_for": list(listeners),
+        "subscribers": list(listeners.values()),
     }
     moved = tuple((t, f"/{settings.namespace.strip('/')}{t}") for t in raw) if settings.namespace.strip("/") else ()
     publishes = tuple(t.strip("/") for t in raw)
@@ -276,7 +281,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "imu_fusion",
             "consumer",
             flatten(as_mapping(fusion)),
-            subscribes=("rimu/raw",),
+            subscribes=("rimu/raw", "nav/commands"),
             publishes=("imu/data_raw", "imu/fused", "fdi/status"),
         ),
         _spec(
@@ -285,7 +290,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "navigator",
             "consumer",
             {**flatten(as_mapping(navigator)), **(datum or {})},
-            subscribes=("imu/fused", "nav/initial_state", *aids),
+            subscribes=("imu/fused", "nav/initial_state", "nav/commands", *aids),
             publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters"),
         ),
     ]

@@ -56,6 +56,7 @@ class NavigatorNode(AutostartLifecycleNode):
         super().__init__("navigator", **kwargs)
         self._settings = declare(self, NodeConfig, also=["autostart"])
         self._inputs: list[Any] = []
+        self._told: list[Any] = []  # commands we have published, which come back
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
@@ -76,6 +77,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._inputs = [
             take(msg.FusedImu, "imu/fused", self._on_imu, qos.imu()),
             take(msg.InitialState, "nav/initial_state", self._on_initial_state, qos.latched(10)),
+            take(msg.SensorUse, "nav/commands", self._on_command, qos.latched(100)),
             take(NavSatFix, "gps/fix", partial(self._on_aid, "gps", convert.read_position_aid), qos.aid()),
             take(NavSatFix, "bds/fix", partial(self._on_aid, "bds", convert.read_position_aid), qos.aid()),
             take(TwistWithCovarianceStamped, "doppler/velocity", partial(self._on_aid, "doppler", convert.read_doppler), qos.aid()),
@@ -136,6 +138,13 @@ class NavigatorNode(AutostartLifecycleNode):
                 self._refused += 1
                 self.get_logger().warning(f"initial state refused: {problem}")
 
+    def _on_command(self, message: Any) -> None:
+        """A command of a recording that is played."""
+        if self.active and message not in self._told and not convert.is_for_fusion(message.target):
+            problem = self._navigator.set_use(UseCommand(**convert.read_sensor_use(message)))
+            if problem:
+                self.get_logger().warning(f"command to {message.target} refused: {problem}")
+
     def _set_initial_state(self, request: Any, response: Any) -> Any:
         response.message = self._navigator.set_initial_state(InitialState(**convert.read_initial_state(request.state)))
         response.success = not response.message
@@ -148,7 +157,8 @@ class NavigatorNode(AutostartLifecycleNode):
         response.message = self._navigator.set_use(UseCommand(request.target, request.use, stamp))
         response.success = not response.message
         if response.success:
-            self._publish("nav/commands", fields.sensor_use(stamp, request.target, request.use))  # so that a recording can be navigated again
+            self._told.append(convert.fill(msg.SensorUse, fields.sensor_use(stamp, request.target, request.use)))
+            self._published["nav/commands"].publish(self._told[-1])  # so that a recording can be navigated again
         return response
 
     # ---- output ----

@@ -61,6 +61,10 @@ class ImuFusionNode(AutostartLifecycleNode):
             name: self.create_publisher(kind, name, profile(), qos_overriding_options=qos.overridable()) for name, (kind, profile) in OUTPUTS.items()
         }
         self._input = self.create_subscription(RedundantImu, "rimu/raw", self._on_sample, qos.imu(), qos_overriding_options=qos.overridable())
+        self._told: list[Any] = []  # commands we have published, which come back
+        self._commands = self.create_subscription(
+            SensorUse, "nav/commands", self._on_command, qos.latched(100), qos_overriding_options=qos.overridable()
+        )
         self._service = self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use)
         self._timer = self.create_timer(1.0, self._diagnose)
         return TransitionCallbackReturn.SUCCESS
@@ -75,6 +79,7 @@ class ImuFusionNode(AutostartLifecycleNode):
         self.destroy_timer(self._timer)
         self.destroy_service(self._service)
         self.destroy_subscription(self._input)
+        self.destroy_subscription(self._commands)
         for publisher in self._published.values():
             self.destroy_publisher(publisher)
         return TransitionCallbackReturn.SUCCESS
@@ -117,11 +122,19 @@ class ImuFusionNode(AutostartLifecycleNode):
         for event in self._pipeline.drain_events():
             self.get_logger().info(f"at {event.stamp_ns * 1e-9:.3f} s: {event.text}")
 
+    def _on_command(self, message: Any) -> None:
+        """A command of a recording that is played."""
+        if self.active and message not in self._told and convert.is_for_fusion(message.target):
+            result = self._pipeline.set_sensor_use(message.target, message.use, convert.to_ns(message.header.stamp))
+            if not result.success:
+                self.get_logger().warning(f"command refused: {result.message}")
+
     def _set_sensor_use(self, request: Any, response: Any) -> Any:
         result = self._pipeline.set_sensor_use(request.target, request.use, convert.to_ns(request.effective))
         response.success, response.message = result.success, result.message
         if result.success:
-            self._publish("nav/commands", fields.sensor_use(result.effective_ns, request.target, request.use))  # for navigating a recording again
+            self._told.append(convert.fill(SensorUse, fields.sensor_use(result.effective_ns, request.target, request.use)))
+            self._published["nav/commands"].publish(self._told[-1])  # for navigating a recording again
         return response
 
     def _diagnose(self) -> None:

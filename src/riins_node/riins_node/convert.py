@@ -17,6 +17,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 
 from riins_node.readings import (
+    is_for_fusion,
     read_doppler,
     read_fault,
     read_fused_imu,
@@ -129,6 +130,7 @@ def _array(item: str, length: int) -> Maker:
 
 __all__ = [
     "fill",
+    "is_for_fusion",
     "read_doppler",
     "read_fault",
     "read_fused_imu",

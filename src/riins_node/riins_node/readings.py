@@ -202,6 +202,11 @@ def read_sensor_use(msg: Any) -> dict[str, Any]:
     return {"name": str(msg.target), "use": bool(msg.use), "stamp_ns": to_ns(msg.header.stamp)}
 
 
+def is_for_fusion(target: str) -> bool:
+    """Whether the target of a SensorUse is a sensor of the redundant IMU (imu_fusion), not a subfilter (navigator)."""
+    return target.startswith(("gyro_", "accel_"))
+
+
 def _vector(v: Any) -> Array:
     return np.array([v.x, v.y, v.z], np.float64)
 

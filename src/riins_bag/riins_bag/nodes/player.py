@@ -21,13 +21,14 @@ from riins_bag import qos
 from riins_bag.bag import BagError, BagReader, type_hash
 from riins_bag.info import REDUNDANT_IMU
 from riins_bag.nodes.profiles import message_class, to_profile
-from riins_bag.recording import RAW_TOPICS, PlayerConfig, selected
+from riins_bag.recording import AHEAD_TOPICS, RAW_TOPICS, PlayerConfig, selected
 from riins_core.settings import nearest
 from riins_node.parameters import ParameterError, declare
 from riins_node.runner import AutostartLifecycleNode, StartError, run
 
 CLOCK_PERIOD_NS = 10_000_000  # recorded time between two messages on /clock
 REMIND_S = 5.0
+HEAD_START_S = 0.3  # of commands, which come on another topic than the samples: nothing but time puts the two in order
 ACKNOWLEDGE_S = 5.0  # how long slow subscribers are waited for at the end
 
 
@@ -87,7 +88,7 @@ class Player(AutostartLifecycleNode):
         if not self.config.path:
             raise ParameterError('parameter "path" is missing: the bag directory to play')
         try:
-            return BagReader(self.config.path)
+            return BagReader(self.config.path, self.config.namespace)
         except BagError as error:
             raise ParameterError(f'parameter "path": {error}') from None
 
@@ -100,18 +101,25 @@ class Player(AutostartLifecycleNode):
             )
         # What is latched may stand long before the first sample, as the recorder starts first: playing begins with the sample.
         self._latched = [topic for topic in chosen if any(offer.durability == "transient_local" for offer in self.bag.qos(topic))]
-        firsts = [self.bag.span_ns(topic)[0] for topic in chosen if topic not in self._latched and self.bag.topics[topic].number]
+        self._ahead = [topic for topic in chosen if topic in AHEAD_TOPICS]
+        timed = set(chosen) - {*self._latched, *self._ahead}
+        firsts = [self.bag.span_ns(topic)[0] for topic in timed if self.bag.topics[topic].number]
         self._begin_ns = min(firsts, default=self.bag.start_ns)
         length_s = (self.bag.end_ns - self._begin_ns) * 1e-9
         if self.config.start_offset_s > length_s:
             raise ParameterError(f'parameter "start_offset_s" is behind the end of the bag ({length_s:.3f} s)')
         return chosen
 
-    def _waited(self) -> list[str]:
+    def _waited(self) -> dict[str, int]:
+        """Subscribers that a topic must have."""
         for topic in self.config.wait_for:
             if topic not in self.topics:
                 raise ParameterError(f'parameter "wait_for": {topic} is not played{nearest(topic, self.topics)}')
-        return list(self.config.wait_for) or [topic for topic in self.topics if self.bag.topics[topic].msgtype == REDUNDANT_IMU]
+        waited = self.config.wait_for or tuple(topic for topic in self.topics if self.bag.topics[topic].msgtype == REDUNDANT_IMU)
+        numbers = self.config.subscribers or (1,) * len(waited)
+        if len(numbers) != len(waited):
+            raise ParameterError(f'parameter "subscribers" must have one number for each of {", ".join(waited)}, not {len(numbers)}')
+        return dict(zip(waited, numbers, strict=True))
 
     def _sender(self, topic: str) -> Any:
         msgtype = self.bag.topics[topic].msgtype
@@ -134,15 +142,16 @@ class Player(AutostartLifecycleNode):
     def _wait(self) -> bool:
         begin = reminded = time.monotonic()
         while not self._stop.wait(0.02):
-            missing = [topic for topic in self.wait_for if not self._senders[topic].get_subscription_count()]
+            counts = {topic: self._senders[topic].get_subscription_count() for topic in self.wait_for}
+            missing = [f"{topic} ({counts[topic]} of {number})" for topic, number in self.wait_for.items() if counts[topic] < number]
             if not missing:
                 return True
             now = time.monotonic()
             if self.config.wait_timeout_s and now - begin > self.config.wait_timeout_s:
-                raise StartError(f"no subscriber on {', '.join(missing)} after {self.config.wait_timeout_s:g} s")
+                raise StartError(f"not enough subscribers on {', '.join(missing)} after {self.config.wait_timeout_s:g} s")
             if now - reminded > REMIND_S:
                 reminded = now
-                self.get_logger().info(f"waiting for a subscriber on {', '.join(missing)}")
+                self.get_logger().info(f"waiting for subscribers on {', '.join(missing)}")
         return False
 
     def _play(self) -> None:
@@ -159,15 +168,19 @@ class Player(AutostartLifecycleNode):
         self.get_logger().info(f"played {self.played} messages")
 
     def _play_latched(self, begin_ns: int) -> None:
-        """Give late joiners' topics the message that held at the beginning."""
-        last = {message.topic: message.data for message in self.bag.messages(self._latched, stop_ns=begin_ns)}
+        """Give late joiners' topics the message that held at the beginning, and those that hold from a stamp on all of them."""
+        last = {message.topic: message.data for message in self.bag.messages(set(self._latched) - set(self._ahead), stop_ns=begin_ns)}
         for topic, data in last.items():
             self._senders[topic].publish(data)
+        for message in self.bag.messages(self._ahead):
+            self._senders[message.topic].publish(message.data)
+        if self._ahead:
+            self._stop.wait(HEAD_START_S)
 
     def _play_once(self, begin_ns: int) -> bool:
         origin = time.monotonic()
         clock_ns = 0
-        for topic, _, data, log_ns in self.bag.messages(self.topics, begin_ns):
+        for topic, _, data, log_ns in self.bag.messages(set(self.topics) - set(self._ahead), begin_ns):
             ahead = origin + (log_ns - begin_ns) * 1e-9 / self.config.rate - time.monotonic()
             if (ahead > 0.0 and self._stop.wait(ahead)) or self._stop.is_set():
                 return False
