@@ -73,7 +73,7 @@ class _Stream:
         self.done = 0  # end of the last interval it was used for
         self.stamps: list[int] = []
         self.samples: list[_Sample] = []
-        self.heard: int | None = None  # last stamp, except of samples found to be out of step
+        self.heard: int | None = None  # newest stamp, except of samples found to be out of step
         self.last: int | None = None  # last stamp of all
         self.alone = 0  # own time gone by since another IMU was heard
         self.aside: list[tuple[int, Array]] = []
@@ -269,7 +269,7 @@ class ArrayAligner:
         if self._front is not None and stamp <= max(stream.done, self._front - self._wait):
             stream.silent = True
             return stream.note(Cause.LATE)
-        stream.heard, stream.silent = stamp, False
+        stream.heard, stream.silent = max(stamp, stamp if stream.heard is None else stream.heard), False
         stream.take(stamp, raw)
         if self._front is None:  # who is ahead may have been the first to be heard
             for k, other in enumerate(self._streams):
