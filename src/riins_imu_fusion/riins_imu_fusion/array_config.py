@@ -34,7 +34,7 @@ class MountingConfig:
     bias_sigma: float = setting(0.05, "sigma of the difference of two gyro biases before anything is known", "rad/s", 1e-9, 10.0)
     bias_walk: float = setting(1e-5, "random walk of the difference of two gyro biases", "rad/s/sqrt(s)", 0.0, 1.0)
     clock_sigma_s: float = setting(0.01, "sigma of a clock offset beyond the one given; 0: the clocks are exact", "s", 0.0, 1.0)
-    scale_sigma: float = setting(0.005, "sigma of what does not fit the model, as part of the rate: scale factors, cross axes", "", 0.0, 0.1)
+    scale_sigma: float = setting(0.005, "sigma of the difference of two gyro scale factors before anything is known", "", 0.0, 0.1)
     known_deg: float = setting(0.2, "a mounting is known when no direction is more uncertain than this (one sigma)", "deg", 1e-4, 10.0)
     false_alarm_probability: float = setting(1e-4, "a comparison less probable than this is left out", "", 1e-12, 0.5)
 
