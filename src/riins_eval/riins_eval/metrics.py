@@ -15,14 +15,12 @@ from riins_core.frames import ned_difference
 from riins_core.ins_error import State
 from riins_core.rotation import dcm_from_euler, log_so3
 
-from .run_record import ISOLATED, FaultInterval, HealthChange, Judged, Track, is_imu_sensor
+from .run_record import ABSENT, COMPENSATED, ISOLATED, FaultInterval, HealthChange, Judged, Track, is_imu_sensor
 
 Floats = NDArray[np.float64]
 
 NEES7 = (State.POS_N, State.POS_E, State.VEL_N, State.VEL_E, State.PHI_N, State.PHI_E, State.PHI_D)
 """States of the normalized error of a marine navigator, whose vertical channel is slaved (conventions.md)."""
-ABSENT = 4
-"""SubfilterStatus.ABSENT."""
 
 
 def rms(error: Floats) -> float:
@@ -182,20 +180,22 @@ class FaultOutcome:
 
     Attributes
     ----------
-    detected : the target was taken out of use, or one of its measurements was refused, while the fault was in force
+    detected : the target was declared, or one of its measurements was refused, while the fault was in force
     delay_s : from the first faulty measurement to that, None when not detected or when the measurements are not known
-    isolated : the target itself was isolated while the fault was in force
-    wrong : other, healthy sensors of the same kind that were isolated meanwhile
+    isolated : the target itself was declared while the fault was in force: isolated, or an inertial sensor that is compensated
+    wrong : other, healthy sensors of the same kind that were declared meanwhile
+    compensated : the target was kept in use without its drift
     """
 
     detected: bool
     delay_s: float | None
     isolated: bool
     wrong: tuple[str, ...]
+    compensated: bool = False
 
     @property
     def isolated_right(self) -> bool:
-        """The faulty one was isolated, and nothing healthy of its kind with it."""
+        """The faulty one was declared, and nothing healthy of its kind with it."""
         return self.isolated and not self.wrong
 
 
@@ -215,12 +215,14 @@ def fault_outcome(fault: FaultInterval, faults: list[FaultInterval], health: lis
 
     Notes
     -----
-    An isolation that began before the fault and lasts into it counts as detected with delay 0: nothing of the fault was used.
+    An isolation that began before the fault and lasts into it counts as detected with delay 0: nothing of the fault was used. A sensor that is
+    compensated for another fault already counts when the filter says so again.
     """
     during = [c for c in health if fault.start_ns <= c.stamp_ns < fault.end_ns and not c.operator]
     own = [c for c in during if c.target == fault.target]
     gone = (ISOLATED,) if is_imu_sensor(fault.target) else (ISOLATED, ABSENT)
-    declared = [c.stamp_ns for c in own if c.state in gone]
+    compensated = [c.stamp_ns for c in own if is_imu_sensor(c.target) and c.state == COMPENSATED]
+    declared = [c.stamp_ns for c in own if c.state in gone] + compensated
     before = _state_at(fault.target, fault.start_ns, health)
     isolated = bool(declared) or before in gone
     first_faulty, alarms = fault.start_ns, list(declared)
@@ -231,14 +233,19 @@ def fault_outcome(fault: FaultInterval, faults: list[FaultInterval], health: lis
         alarms += judged.stamp_ns[faulty & ~judged.accepted].tolist()
     if before in gone:
         alarms.append(first_faulty)
-    wrong = sorted({c.target for c in during if c.state == ISOLATED and _same_kind(c.target, fault.target) and not _excused(c, faults)})
+    wrong = sorted({c.target for c in during if is_declared(c) and _same_kind(c.target, fault.target) and not _excused(c, faults)})
     delay = max(0.0, (min(alarms) - first_faulty) / 1e9) if alarms else None
-    return FaultOutcome(bool(alarms), delay, isolated, tuple(wrong))
+    return FaultOutcome(bool(alarms), delay, isolated, tuple(wrong), bool(compensated))
+
+
+def is_declared(change: HealthChange) -> bool:
+    """Whether a change declares a subfilter or sensor faulty: isolated, or an inertial sensor that is kept without its drift."""
+    return change.state == ISOLATED or (change.state == COMPENSATED and is_imu_sensor(change.target))
 
 
 def false_isolations(health: list[HealthChange], faults: list[FaultInterval]) -> list[HealthChange]:
-    """Isolations of a sensor or a subfilter while no fault was put on it; the operator's word is none."""
-    return [c for c in health if c.state == ISOLATED and not c.operator and not _excused(c, faults)]
+    """Isolations of a sensor or a subfilter, and compensations of a sensor, while no fault was put on it; the operator's word is none."""
+    return [c for c in health if is_declared(c) and not c.operator and not _excused(c, faults)]
 
 
 def good_rejected(judged: Judged, faults: list[FaultInterval]) -> int:
@@ -252,10 +259,10 @@ def epochs_accepted(judged: Judged, fault: FaultInterval) -> int:
 
 
 def declared_at(fault: FaultInterval, health: list[HealthChange]) -> int | None:
-    """Stamp of the first isolation of the target while the fault was in force; the start of the fault if it was isolated already; or None."""
+    """Stamp at which the target was first declared while the fault was in force; the start of the fault if it was isolated already; or None."""
     if _state_at(fault.target, fault.start_ns, health) == ISOLATED:
         return fault.start_ns
-    stamps = [c.stamp_ns for c in health if c.target == fault.target and c.state == ISOLATED and fault.start_ns <= c.stamp_ns < fault.end_ns]
+    stamps = [c.stamp_ns for c in health if c.target == fault.target and is_declared(c) and fault.start_ns <= c.stamp_ns < fault.end_ns]
     return min(stamps) if stamps else None
 
 

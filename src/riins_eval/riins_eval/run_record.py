@@ -17,6 +17,8 @@ Stamps = NDArray[np.int64]
 
 HEALTHY, SUSPECT, ISOLATED, PROBATION = 0, 1, 2, 3
 """States of health that TriadFdi and SubfilterStatus number alike; 4 and 5 differ, see the messages."""
+COMPENSATED, ABSENT = 4, 4
+"""TriadFdi.COMPENSATED of an inertial sensor, SubfilterStatus.ABSENT of an aid."""
 
 SENSOR_STATES = ("healthy", "suspect", "isolated", "probation", "compensated", "excluded")
 SUBFILTER_STATES = ("healthy", "suspect", "isolated", "probation", "absent", "excluded")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import metrics
-from .run_record import HEALTHY, SENSOR_REASONS, SENSOR_STATES, FaultInterval, HealthChange, RunRecord, is_imu_sensor
+from .run_record import COMPENSATED, HEALTHY, SENSOR_REASONS, SENSOR_STATES, SUSPECT, FaultInterval, HealthChange, RunRecord, is_imu_sensor
 
 ARCMIN = 180.0 * 60.0 / math.pi
 Score = dict[str, Any]
@@ -189,7 +189,7 @@ def _fault(record: RunRecord, fault: FaultInterval) -> Score:
         "target": fault.target, "type": fault.type, "size": fault.size_text,
         "onset_s": _seconds(fault.start_ns - record.start_ns), "end_s": _seconds(fault.end_ns - record.start_ns),
         "detected": outcome.detected, "delay_s": _number(outcome.delay_s), "isolated_right": outcome.isolated_right,
-        "wrongly_isolated": list(outcome.wrong), "epochs_fused": _epochs_fused(record, fault),
+        "compensated": outcome.compensated, "wrongly_isolated": list(outcome.wrong), "epochs_fused": _epochs_fused(record, fault),
     }  # fmt: skip
 
 
@@ -206,8 +206,15 @@ def _epochs_fused(record: RunRecord, fault: FaultInterval) -> int | None:
     declared = metrics.declared_at(fault, record.health)
     if declared is None:  # never declared: every sample of the fault went in
         return record.use.samples_with(fault.target, fault.start_ns, fault.end_ns)
-    until = min([fault.end_ns, *(c.stamp_ns for c in record.health if c.target == fault.target and c.state == HEALTHY and c.stamp_ns > declared)])
-    return record.use.samples_with(fault.target, declared, until)
+    # from the declaration to the return, but for the time in which it is used without its drift
+    later = sorted((c for c in record.health if c.target == fault.target and declared <= c.stamp_ns < fault.end_ns), key=lambda c: c.stamp_ns)
+    count, since, out = 0, declared, True
+    for change in later:
+        count += record.use.samples_with(fault.target, since, change.stamp_ns) if out else 0
+        since, out = change.stamp_ns, change.state not in (COMPENSATED, SUSPECT)
+        if change.state == HEALTHY:
+            return count
+    return count + (record.use.samples_with(fault.target, since, fault.end_ns) if out else 0)
 
 
 def _sensors(record: RunRecord) -> list[Score]:

@@ -110,6 +110,19 @@ def test_a_wrongly_isolated_neighbour_spoils_the_isolation():
     assert not missed.detected and missed.delay_s is None
 
 
+def test_a_compensated_sensor_is_declared_and_a_healthy_one_compensated_is_a_false_alarm():
+    fault = FaultInterval("gyro_1", "ramp", 10 * S, 50 * S)
+    kept, gone, wrong = HealthChange(12 * S, "gyro_1", 4, 1), HealthChange(30 * S, "gyro_1", 2, 1), HealthChange(20 * S, "gyro_3", 4, 1)
+    outcome = metrics.fault_outcome(fault, [fault], [kept, gone], None)
+    assert outcome.isolated_right and outcome.compensated and outcome.delay_s == pytest.approx(2.0)
+    assert metrics.declared_at(fault, [kept, gone]) == 12 * S and metrics.false_isolations([kept, gone], [fault]) == []
+    outcome = metrics.fault_outcome(fault, [fault], [kept, wrong], None)
+    assert not outcome.isolated_right and outcome.wrong == ("gyro_3",)
+    assert [c.target for c in metrics.false_isolations([kept, wrong], [fault])] == ["gyro_3"]
+    absent = HealthChange(20 * S, "gps", 4, 5)  # of an aid the same number says that it is silent
+    assert metrics.false_isolations([absent], []) == [] and metrics.fault_outcome(fault, [fault], [kept, absent], None).isolated_right
+
+
 def test_a_sensor_that_is_out_already_is_detected_at_once():
     fault = FaultInterval("accel_0", "step", 30 * S, 40 * S)
     outcome = metrics.fault_outcome(fault, [fault], [HealthChange(10 * S, "accel_0", 2, 1)], None)
