@@ -10,6 +10,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -345,6 +346,12 @@ def decisions(statuses: list[Any], until_ns: int) -> list[tuple[int, int, int, i
     return sorted(seen)
 
 
+def settled_events(statuses: Iterable[Any], until_ns: int) -> set[tuple[int, int, str, int, int]]:
+    """What the navigator told as settled up to a stamp."""
+    events = [e for message in statuses for e in message.events]
+    return {(ns(e.stamp), int(e.kind), e.target, int(e.state), int(e.reason)) for e in events if ns(e.stamp) <= until_ns}
+
+
 def test_live_equals_offline(run, offline_bag):
     settled = {ns(m.header.stamp): m for m in run.messages["/nav/settled"]}
     assert by_stamp(run.bag, "/nav/settled").keys() == settled.keys()
@@ -352,6 +359,10 @@ def test_live_equals_offline(run, offline_bag):
     until = max(settled)
     recorded = list(by_stamp(offline_bag, "/fdi/status").values())
     assert decisions(run.messages["/fdi/status"], until) == decisions(recorded, until)
+    told = settled_events(run.messages["/nav/subfilters"], until)
+    with BagReader(offline_bag) as reader:
+        assert told == settled_events([m for _, _, m in reader.read(["/nav/subfilters"])], until)
+    assert {(target, state) for _, _, target, state, _ in told} >= {("gps", SubfilterStatus.ISOLATED), ("", 0)}
 
 
 def test_live_counters_equal_offline(run, offline_bag):

@@ -83,7 +83,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             description=scenario.description if scenario else "", covariance=_covariance(reader, settled),
             mode=columns["mode"][index].astype(np.int64) if navigated else None,
             protection_radius=columns["protection_radius"][index] if navigated else None, judged=_judged(reader),
-            health=sorted(_sensor_health(reader) + _subfilter_health(reader), key=lambda c: c.stamp_ns),
+            health=sorted(_sensor_health(reader) + _subfilter_health(reader, int(settled.stamp_ns[-1])), key=lambda c: c.stamp_ns),
             faults=fault_intervals(faults, start_ns, ends), origin_ns=start_ns,
             scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=_sensor_use(reader), samples=_samples(reader),
             n_sensors=configuration.fusion.array().n,
@@ -261,16 +261,21 @@ def _sensor_health(reader: BagReader) -> list[HealthChange]:
     return changes
 
 
-def _subfilter_health(reader: BagReader) -> list[HealthChange]:
-    changes: list[HealthChange] = []
+def _subfilter_health(reader: BagReader, settled_ns: int) -> list[HealthChange]:
+    """Settled changes as they were told; behind the last settled epoch, and in recordings without events, what the states show."""
+    changes: dict[tuple[int, str, int], HealthChange] = {}
     state: dict[str, int] = {}
     for _, _, message in reader.read(("/nav/subfilters",)):
+        told = hasattr(message, "events")
+        found = [HealthChange(to_ns(e.stamp), e.target, int(e.state), int(e.reason)) for e in message.events if e.target] if told else []
         for sub in message.subfilters:
-            if int(sub.state) != state.get(sub.name, 0):
-                stamp = to_ns(sub.since) or to_ns(message.header.stamp)
-                changes.append(HealthChange(stamp, sub.name, int(sub.state), int(sub.reason)))
-                state[sub.name] = int(sub.state)
-    return changes
+            stamp = to_ns(sub.since) or to_ns(message.header.stamp)
+            if int(sub.state) != state.get(sub.name, 0) and (not told or stamp > settled_ns):
+                found.append(HealthChange(stamp, sub.name, int(sub.state), int(sub.reason)))
+            state[sub.name] = int(sub.state)
+        for change in found:
+            changes.setdefault((change.stamp_ns, change.target, change.state), change)
+    return list(changes.values())
 
 
 def _sensor_use(reader: BagReader) -> SensorUse | None:

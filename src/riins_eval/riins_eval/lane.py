@@ -7,15 +7,14 @@ Does not live here: where the samples come from (offline.py), what is made of th
 from __future__ import annotations
 
 import dataclasses
-import re
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_fdi.health import SUBFILTER_CODE, TRIAD_CODE, HealthState
+from riins_fdi.health import TRIAD_CODE
 from riins_federated.navigator import Navigator
-from riins_federated.types import Aid, FederatedReport, Reason, Recall
+from riins_federated.types import Aid, FederatedReport, NavEvent, Recall
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.types import FdiEvent, FusedBlock
 
@@ -24,7 +23,6 @@ from .run_record import FAULT_TYPES, HEALTHY, FaultInterval, HealthChange, Judge
 
 Floats = NDArray[np.float64]
 
-_CHANGE = re.compile(r"(?P<name>\w+): \w+ -> (?P<state>\w+)(?: \((?P<reason>[\w ]+)\))?")
 _NEES = np.array([int(s) for s in metrics.NEES7])
 
 
@@ -37,14 +35,14 @@ class Lane:
 
     Attributes
     ----------
-    solutions, judged, changes : what came out since `take` was last called, for a recorder
+    solutions, judged, events : what came out since `take` was last called, for a recorder
     """
 
     def __init__(self, navigator: Navigator) -> None:
         self.navigator = navigator
         self.solutions: list[Any] = []
         self.judged: list[Any] = []
-        self.changes: list[tuple[HealthChange, str]] = []
+        self.events: list[NavEvent] = []
         self._tracks: list[Track] = []
         self._covariances: list[Floats] = []
         self._modes: list[Floats] = []
@@ -65,18 +63,17 @@ class Lane:
 
     def drain(self) -> None:
         """Take out what is settled."""
-        self.solutions, self.judged, self.changes = self.navigator.drain_settled(), self.navigator.drain_judged(), []
+        self.solutions, self.judged = self.navigator.drain_settled(), self.navigator.drain_judged()
         if self.solutions:
             self._tracks.append(blocks.track_of(self.solutions))
             self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))
             self._modes.append(np.array([[int(s.mode), s.protection_radius] for s in self.solutions]))
         for one in self.judged:
             self._judged.setdefault(one.name, []).append(one)
-        for event in self.navigator.drain_events():
-            change = _subfilter_change(event.stamp_ns, event.text)
-            if change is not None:
-                self.health.append(change)
-                self.changes.append((change, event.text))
+        self.events = self.navigator.drain_events()
+        for event in self.events:
+            if event.state is not None:
+                self.health.append(HealthChange(int(event.stamp_ns), event.target, event.state, int(event.reason)))
 
     @property
     def track(self) -> Track:
@@ -117,7 +114,7 @@ class FusionLog:
         for event in events:
             if event.index >= 0 and event.state is not None:
                 self.health.append(HealthChange(int(event.stamp_ns), f"{event.kind}_{event.index}", TRIAD_CODE[event.state], int(event.reason)))
-            elif event.kind == "stream" and event.text.startswith("restart"):
+            elif event.kind == "restart":
                 out = {c.target: c for c in self.health}
                 self.health += [HealthChange(int(event.stamp_ns), target, HEALTHY) for target, c in out.items() if c.state not in (HEALTHY, 5)]
 
@@ -183,28 +180,21 @@ def size_text(fault: Any) -> str:
     return " ".join(parts + ([fault.axis] if fault.axis != "all" else []))
 
 
-def copy_with_state(report: FederatedReport, change: HealthChange, text: str) -> tuple[FederatedReport, str]:
-    """A report as of a settled change of health, for the recording."""
+def report_at(report: FederatedReport, event: NavEvent) -> FederatedReport:
+    """A report as of a settled event, for the recording."""
     subfilters = tuple(
-        dataclasses.replace(s, state=change.state, since_ns=change.stamp_ns, reason=Reason(change.reason)) if s.name == change.target else s
+        dataclasses.replace(s, state=event.state, since_ns=event.stamp_ns, reason=event.reason)
+        if event.state is not None and s.name == event.target
+        else s
         for s in report.subfilters
     )
-    return dataclasses.replace(report, stamp_ns=change.stamp_ns, subfilters=subfilters), text
+    return dataclasses.replace(report, stamp_ns=event.stamp_ns, subfilters=subfilters)
 
 
 def warm_up(pipeline: FusionPipeline) -> None:
     """Compile or load every kernel of a pass, so that its time is not the compiler's."""
     pipeline.warm_up()
     Navigator.warm_up()
-
-
-def _subfilter_change(stamp_ns: int, text: str) -> HealthChange | None:
-    found = _CHANGE.fullmatch(text)
-    if found is None:
-        return None
-    state = SUBFILTER_CODE[HealthState[found["state"].upper().replace(" ", "_")]]
-    reason = Reason[found["reason"].upper().replace(" ", "_")] if found["reason"] else Reason.NONE
-    return HealthChange(int(stamp_ns), found["name"], int(state), int(reason))
 
 
 def latest_before(stamps: Stamps, stamp_ns: int) -> int:

@@ -31,7 +31,7 @@ from riins_sim.trajectory import Trajectory
 
 from . import blocks, configure
 from . import score as scoring
-from .lane import FusionLog, Lane, copy_with_state, fault_intervals, warm_up
+from .lane import FusionLog, Lane, fault_intervals, report_at, warm_up
 from .recording import ORACLE_TOPIC, TWIN_TOPIC, RunWriter
 from .run_record import RunRecord, Samples
 
@@ -232,8 +232,8 @@ class _Voyage:
         writer.settled(lane.solutions, LABELS)
         writer.judged(lane.judged)
         report = lane.navigator.status()
-        for change, text in lane.changes:
-            writer.federated(*copy_with_state(report, change, text))
+        for event in lane.events:
+            writer.federated(report_at(report, event), event.text, (event,))
         writer.federated(report)
         for status in statuses:
             writer.inertial(status)

@@ -149,10 +149,10 @@ class RunWriter:
             for one in judged:
                 self._bag.write_message("/nav/innovations", INNOVATION, fields.innovation(one), int(one.stamp_ns))
 
-    def federated(self, report: Any, text: str = "") -> None:
-        """State of the subfilters (riins_federated FederatedReport)."""
+    def federated(self, report: Any, text: str = "", events: Iterable[Any] = ()) -> None:
+        """State of the subfilters (riins_federated FederatedReport), and what happened."""
         if self.nav and report.stamp_ns > 0:
-            self._bag.write_message("/nav/subfilters", FEDERATED, fields.federated_status(report, text), int(report.stamp_ns))
+            self._bag.write_message("/nav/subfilters", FEDERATED, fields.federated_status(report, text, events), int(report.stamp_ns))
 
     def inertial(self, status: FdiStatus) -> None:
         """State of the redundant IMU."""

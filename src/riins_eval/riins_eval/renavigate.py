@@ -25,7 +25,7 @@ from riins_node import readings
 
 from . import score as scoring
 from .bag_record import read_faults, read_fixes, read_reference, reference_at, run_start
-from .lane import FusionLog, Lane, copy_with_state, fault_intervals, warm_up
+from .lane import FusionLog, Lane, fault_intervals, report_at, warm_up
 from .offline import RunResult, reporting_pipeline, samples
 from .recording import RAW_IMU, RunWriter
 from .run_configuration import RecordError, RunConfiguration, holds, read_configuration, with_settings
@@ -232,8 +232,8 @@ class _Run:
         writer.settled(lane.solutions, LABELS)
         writer.judged(lane.judged)
         report = lane.navigator.status()
-        for change, text in lane.changes:
-            writer.federated(*copy_with_state(report, change, text))
+        for event in lane.events:
+            writer.federated(report_at(report, event), event.text, (event,))
         writer.federated(report)
         for status in self.pipeline.drain_statuses():
             writer.inertial(status)

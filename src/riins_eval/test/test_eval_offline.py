@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,26 @@ def test_the_bag_gives_the_same_score(run, bag):
     ]
     assert metrics.horizontal_distance(record.settled, run.record.settled).max() < 1e-6
     assert record.expect == run.expect and record.origin_ns == offline.START_NS
+
+
+def test_changes_of_health_are_read_from_fields_not_from_texts(bag):
+    """What was settled counts, not what a state showed before; without events, as in older recordings, the states are what there is."""
+    with BagReader(bag) as reader:
+        told = bag_record._subfilter_health(reader, 2**62)
+        statuses = [m for _, _, m in reader.read(("/nav/subfilters",))]
+    assert [(c.target, c.state) for c in told] == [("gps", 1), ("gps", 2)]
+
+    def read(of):
+        return bag_record._subfilter_health(SimpleNamespace(read=lambda _: [("", 0, of(m)) for m in statuses]), 2**62)
+
+    def events(m):
+        return [SimpleNamespace(stamp=e.stamp, target=e.target, state=e.state, reason=e.reason, text="") for e in m.events]
+
+    def shown(m):
+        return [SimpleNamespace(name=s.name, state=1, since=s.since, reason=0) for s in m.subfilters]
+
+    assert read(lambda m: SimpleNamespace(header=m.header, subfilters=shown(m), events=events(m), text="")) == told
+    assert read(lambda m: SimpleNamespace(header=m.header, subfilters=m.subfilters, text="")) == told
 
 
 def test_navigating_the_bag_again_is_equal_to_the_bit(run, bag, tmp_path):

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_fdi.health import Change
+from riins_fdi.health import SUBFILTER_CODE, Change
 
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
 from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, Journal, next_due, to_ns
-from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
+from .types import Aid, Array, EventKind, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
 
 MAX_WAITING = 100_000
 """Items that may wait for the IMU to reach their stamp."""
@@ -256,9 +256,7 @@ class Navigator:
                 self._queue.add(stamp, rank, item)
             elif isinstance(item, Aid):
                 self._filter.subfilters[rank].late += 1
-        self._journal.add(
-            stamp_ns, NavEvent(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state")
-        )
+        self._tell(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state", EventKind.RESTARTED)
 
     def _take_in(self, stamp_ns: int) -> None:
         """Work in a new item of the queue, going back if its time has passed."""
@@ -320,9 +318,7 @@ class Navigator:
                 self._filter.subfilters[self._rank[item.name]].use(item.stamp_ns, item.use)
             self._cursor += 1
         self._schedule(initial.stamp_ns)
-        self._journal.add(
-            initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}")
-        )
+        self._tell(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}", EventKind.BEGUN)
         self._checkpoints = [self._checkpoint(initial.stamp_ns)]
         return True
 
@@ -387,7 +383,7 @@ class Navigator:
             text = f"recalled {text} since {(recall.stamp_ns - recall.onset_ns) * 1e-9:.1f} s"
         else:
             text = f"not recalled, it began before the run: {text}"
-        self._journal.add(recall.stamp_ns, NavEvent(recall.stamp_ns, text))
+        self._tell(recall.stamp_ns, text, EventKind.RECALLED)
 
     def _start_again(self, initial: InitialState, sample: int) -> None:
         """Re-initialise within the sample that has just been integrated, and integrate what is left of it."""
@@ -399,15 +395,17 @@ class Navigator:
             self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), int(imu.stamp[sample]))
             self._filter.propagate()
         self._schedule(initial.stamp_ns)
-        self._journal.add(
-            initial.stamp_ns, NavEvent(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}")
-        )
+        self._tell(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}", EventKind.BEGUN)
 
     def _note(self, name: str, change: Change | None) -> None:
         if change is not None:
             reason = f" ({Reason(change.reason).name.lower()})" if change.reason else ""
             text = f"{name}: {change.previous.name.lower()} -> {change.state.name.lower()}{reason}"
-            self._journal.add(change.stamp_ns, NavEvent(change.stamp_ns, text))
+            state = SUBFILTER_CODE[change.state]
+            self._journal.add(change.stamp_ns, NavEvent(change.stamp_ns, text, EventKind.HEALTH, name, state, Reason(change.reason)))
+
+    def _tell(self, stamp_ns: int, text: str, kind: EventKind) -> None:
+        self._journal.add(stamp_ns, NavEvent(stamp_ns, text, kind))
 
     def _checkpoint(self, stamp_ns: int) -> Checkpoint:
         return Checkpoint(stamp_ns, self._sample, self._cursor, len(self._journal), self._due, self._filter.snapshot())

@@ -30,7 +30,7 @@ from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
 from .reporting import Grid, diagnosis, what_changed
-from .types import Aid, Array, FederatedReport, InitialState, NavSolution, Reason, Recall, UseCommand
+from .types import Aid, Array, FederatedReport, InitialState, NavEvent, NavSolution, Reason, Recall, UseCommand
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
@@ -46,6 +46,8 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "imu/data": (Imu, qos.navigation),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
+EVENTS_KEPT = 10
+"""In every FederatedStatus."""
 INPUTS = ("imu/fused", "gps/fix", "bds/fix", "doppler/velocity")
 
 
@@ -67,6 +69,8 @@ class NavigatorNode(AutostartLifecycleNode):
         self._frame: LocalFrame | None = None
         self._state_grid, self._odometry_grid, self._second = Grid(settings.state_period_s), Grid(settings.odometry_period_s), Grid(1.0)
         self._report: FederatedReport | None = None
+        self._events: list[NavEvent] = []
+        self._news = False
         self._without_covariance: set[str] = set()
         self._sequence = self._settled_sequence = self._refused = 0
         self._last_wall = time.monotonic()
@@ -183,16 +187,19 @@ class NavigatorNode(AutostartLifecycleNode):
             self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
             self._publish("nav/covariance", fields.nav_covariance(settled, LABELS))
             self._settled_sequence += 1
-        for event in self._navigator.drain_events():
+        news = self._navigator.drain_events()
+        self._events = [*self._events, *news][-EVENTS_KEPT:]
+        self._news = bool(news)
+        for event in news:
             self.get_logger().info(f"at {event.stamp_ns * 1e-9:.3f} s: {event.text}")
 
     def _publish_status(self, stamp_ns: int) -> None:
         report = self._navigator.status()
         changed = what_changed(self._report, report)
-        if changed is None and not self._second.due(stamp_ns):
+        if changed is None and not self._news and not self._second.due(stamp_ns):
             return
         self._report = report
-        self._publish("nav/subfilters", fields.federated_status(report, changed or ""))
+        self._publish("nav/subfilters", fields.federated_status(report, changed or "", self._events))
         if self._second.now(stamp_ns):
             self._publish("/diagnostics", fields.diagnostics(stamp_ns, diagnosis(report, self._refused)))
 

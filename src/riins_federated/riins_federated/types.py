@@ -214,12 +214,33 @@ class Judged:
     reason: Reason
 
 
+class EventKind(IntEnum):
+    """What a NavEvent is about; values as in NavEvent.msg."""
+
+    HEALTH = 0
+    BEGUN = 1
+    RESTARTED = 2
+    RECALLED = 3
+
+
 @dataclass(frozen=True)
 class NavEvent:
-    """Something an operator wants to know, one line."""
+    """Something an operator wants to know.
+
+    Attributes
+    ----------
+    stamp_ns : measurement time
+    text : one line
+    kind : EventKind
+    target, state, reason : of a change of health: the subfilter, its new state (SubfilterStatus constant) and why; else '', None, NONE
+    """
 
     stamp_ns: int
     text: str
+    kind: EventKind
+    target: str = ""
+    state: int | None = None
+    reason: Reason = Reason.NONE
 
 
 @dataclass(frozen=True)

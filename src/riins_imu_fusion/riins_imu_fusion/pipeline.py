@@ -370,7 +370,7 @@ class FusionPipeline:
         for machine in (m for triad in self._machines for m in triad):
             machine.reset()
         self._refresh_all()
-        self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"restart: the stamp jumped by {jump:+.3f} s")
+        self._tell(stamp_ns, "restart", -1, None, Reason.NONE, f"restart: the stamp jumped by {jump:+.3f} s")
 
     def _obey(self, stamp_ns: int) -> None:
         """Carry out the commands whose time has come, and isolate what the filters have found dead."""

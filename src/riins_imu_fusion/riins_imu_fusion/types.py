@@ -129,7 +129,7 @@ class FdiEvent:
 
     stamp_ns: int
     kind: str
-    """gyro, accel, stream or command"""
+    """gyro, accel, stream, restart or command"""
     index: int
     """sensor, or -1"""
     state: HealthState | None

@@ -268,7 +268,7 @@ def test_a_stamp_that_jumps_restarts_the_run(jump: int) -> None:
     pipeline.set_sensor_use("gyro_1", False)
     block = feed.into(pipeline)
     assert len(block) == 900 and pipeline.counters == Counters(900, 900, 0, 0, 0, 0, 1, 0)
-    event = next(e for e in pipeline.drain_events() if e.kind == "stream")
+    event = next(e for e in pipeline.drain_events() if e.kind == "restart")
     assert event.stamp_ns == feed.stamp[500] and event.text == f"restart: the stamp jumped by {(jump + DT) / 1e9:+.3f} s"
     assert np.all(block.gyro_used[500:] == 0b111101)  # what the machines decided is forgotten, the operator's word is not
 

@@ -308,14 +308,27 @@ def innovation(judged: Any) -> Fields:
     }
 
 
-def federated_status(report: Any, text: str = "") -> Fields:
-    """riins_msgs/FederatedStatus of a riins_federated FederatedReport; `text`: what changed, one line."""
+def nav_event(event: Any) -> Fields:
+    """riins_msgs/NavEvent of a riins_federated NavEvent."""
+    return {
+        "stamp": int(event.stamp_ns),
+        "kind": int(event.kind),
+        "target": event.target,
+        "state": int(event.state or 0),
+        "reason": int(event.reason),
+        "text": event.text,
+    }
+
+
+def federated_status(report: Any, text: str = "", events: Iterable[Any] = ()) -> Fields:
+    """riins_msgs/FederatedStatus of a riins_federated FederatedReport; `text`: what changed, one line; `events`: the last NavEvents."""
     counters = ("imu_received", "imu_lost", "imu_rejected", "restarts", "rollbacks")
     return {
         "header": header(int(report.stamp_ns), MAP_NED),
         "mode": int(report.mode),
         "subfilters": [_subfilter(sub) for sub in report.subfilters],
         **{name: int(getattr(report, name)) for name in counters},
+        "events": [nav_event(event) for event in events],
         "text": text,
     }
 

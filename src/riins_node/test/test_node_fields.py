@@ -33,6 +33,7 @@ from riins_msgs.msg import (
     InitialState,
     Innovation,
     NavCovariance,
+    NavEvent,
     NavState,
     RedundantImu,
     SensorUse,
@@ -270,7 +271,12 @@ def test_status_messages() -> None:
         accepted=1, rejected=2, late=3, malformed=4,
     )  # fmt: skip
     report = SimpleNamespace(stamp_ns=STAMP, mode=2, subfilters=(sub,), imu_received=9, imu_lost=1, imu_rejected=2, restarts=0, rollbacks=3)
-    msg = convert.fill(FederatedStatus, fields.federated_status(report, "gps isolated"))
+    event = SimpleNamespace(stamp_ns=STAMP, kind=0, target="gps", state=2, reason=1, text="gps: suspect -> isolated (nis)")
+    other = SimpleNamespace(stamp_ns=7, kind=1, target="", state=None, reason=0, text="navigation begins")
+    msg = convert.fill(FederatedStatus, fields.federated_status(report, "gps isolated", [event, other]))
+    first, second = msg.events
+    assert (convert.to_ns(first.stamp), first.target, first.state, first.reason, first.text) == (STAMP, "gps", 2, 1, event.text)
+    assert (first.kind, second.kind, second.target, second.state) == (NavEvent.HEALTH, NavEvent.BEGUN, "", 0)
     assert (msg.subfilters[0].name, msg.subfilters[0].since.nanosec, list(msg.subfilters[0].information_trace)) == ("gps", 5, [1.0, 2.0])
     assert (msg.imu_received, msg.rollbacks, msg.text) == (9, 3, "gps isolated")
     triad = SimpleNamespace(
