@@ -37,10 +37,21 @@ AID_TOPICS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "/bds/fix": ("bds", readings.read_position_aid),
     "/doppler/velocity": ("doppler", readings.read_doppler),
 }
-INITIAL_TOPIC, COMMAND_TOPIC = "/nav/initial_state", "/nav/commands"
+INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC = "/nav/initial_state", "/nav/commands", "/fdi/method"
 RAW_TOPICS = (
-    RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, COMMAND_TOPIC, "/truth/state", "/truth/odometry", "/truth/faults",
+    RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC,
+    "/truth/state", "/truth/odometry", "/truth/faults",
 )  # fmt: skip
+
+
+class _Method(NamedTuple):
+    """Arguments of FusionPipeline.set_method."""
+
+    fusion: str
+    parity_test: str
+    sequential_test: str
+    adapt_noise: bool
+    effective_ns: int
 
 
 class _Window(NamedTuple):
@@ -55,7 +66,7 @@ class _Window(NamedTuple):
     accel_valid: NDArray[np.uint64]
     gyros: NDArray[np.int64]
     accels: NDArray[np.int64]
-    others: list[tuple[int, Aid | InitialState | UseCommand]]
+    others: list[tuple[int, Aid | InitialState | UseCommand | _Method]]
 
 
 def navigate(
@@ -91,7 +102,7 @@ def navigate(
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
-        run = _Run(reader, configuration)
+        run = _Run(reader, configuration, frozenset((overrides or {}).get("fusion", {})))
         if bag_out is None or record == "none":
             return run.through(None, progress)
         with RunWriter(bag_out, record) as writer:
@@ -101,8 +112,8 @@ def navigate(
 class _Run:
     """One bag on its way through fusion and navigator."""
 
-    def __init__(self, reader: BagReader, configuration: RunConfiguration) -> None:
-        self.reader, self.configuration = reader, configuration
+    def __init__(self, reader: BagReader, configuration: RunConfiguration, overridden: frozenset[str]) -> None:
+        self.reader, self.configuration, self._overridden = reader, configuration, overridden
         self.pipeline = reporting_pipeline(configuration.fusion)
         self.lane = Lane(Navigator(configuration.navigator))
         self.fusion = FusionLog()
@@ -146,13 +157,13 @@ class _Run:
     def _windows(self) -> Iterator[tuple[int, _Window]]:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
         others_from = [t for t in (*AID_TOPICS, INITIAL_TOPIC) if t in self.reader.topics]
-        has_commands = COMMAND_TOPIC in self.reader.topics
-        commands = [(log_ns, UseCommand(**readings.read_sensor_use(m))) for _, log_ns, m in self.reader.read([COMMAND_TOPIC])] if has_commands else []
+        commands_from = [t for t in (COMMAND_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
+        commands = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
         start = self.reader.start_ns
         while start <= self.reader.end_ns:
             stop = start + WINDOW_NS
             c = self.reader.columns(RAW_IMU, names, start, stop)
-            others: list[tuple[int, Aid | InitialState | UseCommand]] = []
+            others: list[tuple[int, Aid | InitialState | UseCommand | _Method]] = []
             others += [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
             # a recorder may hear of a command a little after the sample it holds from: those early in the next window are known in this one
             told = sum(log_ns < stop + self._max_delay for log_ns, _ in commands)
@@ -164,9 +175,22 @@ class _Run:
             )  # fmt: skip
             start = stop
 
+    def _command(self, topic: str, message: Any) -> UseCommand | _Method:
+        """A command of the recording; what the caller has overridden stays as he wants it."""
+        if topic == COMMAND_TOPIC:
+            return UseCommand(**readings.read_sensor_use(message))
+        fusion, given = self.configuration.fusion, readings.read_fusion_method(message)
+        names = {"fusion": "method", "parity_test": "parity_test", "sequential_test": "sequential_test", "adapt_noise": "adapt_noise"}
+        return _Method(**{**given, **{ours: getattr(fusion, name) for ours, name in names.items() if name in self._overridden}})
+
     def _obey(self, part: _Window) -> None:
         """Commands before the samples: each waits for its own stamp."""
         for _, item in part.others:
+            if isinstance(item, _Method):
+                result = self.pipeline.set_method(*item)
+                if not result.success:
+                    self.notes.append(f"Selection at {(item.effective_ns - self.reader.start_ns) / 1e9:.1f} s refused: {result.message}.")
+                continue
             if not isinstance(item, UseCommand):
                 continue
             if item.name.partition("_")[0] in KINDS:
@@ -211,7 +235,7 @@ class _Run:
         newest = np.maximum.accumulate(np.maximum(part.stamp_ns, self._newest)) if len(part.stamp_ns) else part.stamp_ns
         early: list[Aid] = []
         for log_ns, item in part.others:
-            if isinstance(item, UseCommand):
+            if isinstance(item, UseCommand | _Method):
                 continue
             if isinstance(item, InitialState):
                 problem = self.lane.navigator.set_initial_state(item)

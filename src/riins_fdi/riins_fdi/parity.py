@@ -6,6 +6,7 @@ Does not live here: the parity matrix itself (riins_core.imu_array), tests over 
 
 from __future__ import annotations
 
+import functools
 import itertools
 from enum import IntEnum
 from typing import NamedTuple
@@ -126,8 +127,14 @@ def family_threshold(directions: ArrayLike, pfa: float, points: int = 200_000, s
     p = r e with e uniform on the sphere and r chi-distributed: P(alarm) = mean over e of P(r > T / max_i |u_i'e|). Only the directions are sampled,
     so probabilities far below 1 / points are reached.
     """
-    u = np.asarray(directions, dtype=np.float64)
-    d = u.shape[1]
+    u = np.round(np.asarray(directions, dtype=np.float64), 9)  # gyros and accelerometers of one array: the same test
+    return _family_threshold(u.tobytes(), u.shape, pfa, points, seed)
+
+
+@functools.lru_cache(maxsize=256)
+def _family_threshold(directions: bytes, shape: tuple[int, int], pfa: float, points: int, seed: int) -> float:
+    u = np.frombuffer(directions).reshape(shape)
+    d = shape[1]
     e = np.random.default_rng(seed).standard_normal((points, d))
     e /= np.linalg.norm(e, axis=1, keepdims=True)
     largest = np.concatenate([np.max(np.abs(part @ u.T), axis=1) for part in np.array_split(e, max(1, points // 10_000))])

@@ -152,7 +152,7 @@ def glr_threshold(epochs: float, directions: ArrayLike, lengths: ArrayLike, samp
     """Threshold at which the windowed GLR gives a false alarm every `epochs` epochs on the mean; arguments as in `glr_alarm_rate`."""
     if not epochs > 1.0:
         raise ValueError("needs more than one epoch between alarms")
-    u = np.ascontiguousarray(directions, dtype=np.float64)
+    u = np.round(np.asarray(directions, dtype=np.float64), 9)  # gyros and accelerometers of one array: the same test
     widths = np.ascontiguousarray(lengths, dtype=np.int64)
     return _glr_threshold(epochs, u.tobytes(), u.shape, tuple(widths.tolist()), samples)
 

@@ -22,8 +22,8 @@ from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.reporting import diagnosis, inertial_fdi
 from riins_imu_fusion.types import FusedBlock
-from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, SensorUse
-from riins_msgs.srv import SetSensorUse
+from riins_msgs.msg import FusedImu, FusionMethod, InertialFdi, RedundantImu, SensorUse
+from riins_msgs.srv import SetFusionMethod, SetSensorUse
 from riins_node import convert, fields, qos
 from riins_node.inputs import several_publishers
 from riins_node.parameters import declare
@@ -34,8 +34,13 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "imu/data_raw": (Imu, qos.imu),
     "fdi/status": (InertialFdi, qos.latched),
     "nav/commands": (SensorUse, partial(qos.latched, 100)),
+    "fdi/method": (FusionMethod, partial(qos.latched, 100)),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
+
+
+BY_SERVICE = ("method", "parity_test", "sequential_test", "adapt_noise")
+"""Parameters that say what the node starts with; while it runs a service changes it."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class ImuFusionNode(AutostartLifecycleNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("imu_fusion", **kwargs)
-        self._config = declare(self, NodeConfig, also=["autostart"])
+        self._config = declare(self, NodeConfig, also=["autostart"], services=dict.fromkeys(BY_SERVICE, "~/set_fusion_method"))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
@@ -65,7 +70,14 @@ class ImuFusionNode(AutostartLifecycleNode):
         self._commands = self.create_subscription(
             SensorUse, "nav/commands", self._on_command, qos.latched(100), qos_overriding_options=qos.overridable()
         )
-        self._service = self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use)
+        self._methods = self.create_subscription(
+            FusionMethod, "fdi/method", self._on_method, qos.latched(100), qos_overriding_options=qos.overridable()
+        )
+        self._services = [
+            self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
+            self.create_service(SetFusionMethod, "~/set_fusion_method", self._set_fusion_method),
+        ]
+        self._tell_method(0)
         self._timer = self.create_timer(1.0, self._diagnose)
         return TransitionCallbackReturn.SUCCESS
 
@@ -77,9 +89,11 @@ class ImuFusionNode(AutostartLifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo on_configure."""
         self.destroy_timer(self._timer)
-        self.destroy_service(self._service)
+        for service in self._services:
+            self.destroy_service(service)
         self.destroy_subscription(self._input)
         self.destroy_subscription(self._commands)
+        self.destroy_subscription(self._methods)
         for publisher in self._published.values():
             self.destroy_publisher(publisher)
         return TransitionCallbackReturn.SUCCESS
@@ -137,13 +151,34 @@ class ImuFusionNode(AutostartLifecycleNode):
             self._published["nav/commands"].publish(self._told[-1])  # for navigating a recording again
         return response
 
+    def _on_method(self, message: Any) -> None:
+        """A selection of a recording that is played."""
+        if self.active and message not in self._told:
+            result = self._pipeline.set_method(**convert.read_fusion_method(message))
+            if not result.success:
+                self.get_logger().warning(f"selection refused: {result.message}")
+
+    def _set_fusion_method(self, request: Any, response: Any) -> Any:
+        result = self._pipeline.set_method(
+            request.fusion, request.parity_test, request.sequential_test, request.adapt_noise, convert.to_ns(request.effective)
+        )
+        response.success, response.message = result.success, result.message
+        if result.success:
+            self._tell_method(result.effective_ns)
+        return response
+
+    def _tell_method(self, stamp_ns: int) -> None:
+        """Publish what is selected from a stamp on, so that a recording can be navigated again."""
+        self._told.append(convert.fill(FusionMethod, fields.fusion_method(stamp_ns, self._pipeline.selected(stamp_ns))))
+        self._published["fdi/method"].publish(self._told[-1])
+
     def _diagnose(self) -> None:
         if not self.active:
             return
         alive = time.monotonic() - self._heard <= self._config.imu_timeout_s
         if not alive:
             self.get_logger().warning("no IMU: nothing on rimu/raw", throttle_duration_sec=10.0)
-        statuses = diagnosis(self._pipeline.status(), alive)
+        statuses = diagnosis(self._pipeline.status(), alive, self._pipeline.selected())
         for line in several_publishers(self, ["rimu/raw"]):
             self.get_logger().warning(line, throttle_duration_sec=10.0)
             statuses.append(("imu_fusion: inputs", "error", line, {}))

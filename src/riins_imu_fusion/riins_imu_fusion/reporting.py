@@ -13,6 +13,7 @@ import numpy as np
 from riins_fdi.health import HealthState
 from riins_fdi.parity import Capability
 from riins_imu_fusion.config import KINDS
+from riins_imu_fusion.selection import Selection
 from riins_imu_fusion.types import FdiStatus, Reason, TriadStatus
 
 Fields = dict[str, Any]
@@ -43,13 +44,14 @@ def inertial_fdi(status: FdiStatus, frame_id: str = "imu_link") -> Fields:
     }
 
 
-def diagnosis(status: FdiStatus, alive: bool) -> list[tuple[str, str, str, dict[str, Any]]]:
+def diagnosis(status: FdiStatus, alive: bool, selection: Selection) -> list[tuple[str, str, str, dict[str, Any]]]:
     """Statuses for diagnostic_msgs, (name, level, message, values): one for the stream and one for each triad.
 
     Parameters
     ----------
     status : state after the last sample
     alive : samples arrive (the node's wall clock decides)
+    selection : methods in force
     """
     counters = status.counters._asdict()
     refused = {name: value for name, value in counters.items() if (name.startswith("rejected") or name in ("lost", "restarts")) and value}
@@ -59,7 +61,7 @@ def diagnosis(status: FdiStatus, alive: bool) -> list[tuple[str, str, str, dict[
         level, message = "error", "no solution: too few usable axes"
     else:
         level, message = "ok", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in refused.items()) or "all samples fused"
-    reports = [("imu_fusion", level, message, counters)]
+    reports = [("imu_fusion", level, message, {**counters, **selection._asdict()})]
     for kind, triad in zip(KINDS, (status.gyro, status.accel), strict=True):
         reports.append((f"imu_fusion: {kind}", *_diagnose_triad(kind, triad)))
     return reports
@@ -77,6 +79,7 @@ def _triad(triad: TriadStatus) -> Fields:
         "reason": np.array(triad.reason, np.uint8),
         "since": list(triad.since_ns),
         "drift": triad.drift,
+        "sigma": triad.sigma,
         "capability": int(triad.capability),
     }
 
@@ -93,6 +96,8 @@ def _diagnose_triad(kind: str, triad: TriadStatus) -> tuple[str, str, dict[str, 
         name, why = HealthState(state).name.lower(), Reason(reason).name.lower()
         values[f"{kind}_{i}"] = name if state == HealthState.HEALTHY else f"{name} ({why})"
         left = {Reason(r).name.lower(): int(count) for r, count in enumerate(triad.left_out[i]) if count}
+        if np.isfinite(triad.sigma[i]):
+            values[f"{kind}_{i} noise"] = f"{triad.sigma[i]:.3g}"
         if left:
             values[f"{kind}_{i} left out"] = ", ".join(f"{why} {count}" for why, count in left.items())
         if state not in (HealthState.HEALTHY, HealthState.COMPENSATED):

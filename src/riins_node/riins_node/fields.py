@@ -368,6 +368,11 @@ def sensor_use(stamp_ns: int, target: str, use: bool) -> Fields:
     return {"header": header(max(int(stamp_ns), 0), ""), "target": target, "use": bool(use)}
 
 
+def fusion_method(stamp_ns: int, selection: Any) -> Fields:
+    """riins_msgs/FusionMethod of a riins_imu_fusion Selection; `stamp_ns`: from when on it holds, 0 or less: from the first sample on."""
+    return {"header": header(max(int(stamp_ns), 0), ""), **selection._asdict()}
+
+
 def diagnostics(stamp_ns: int, statuses: Iterable[tuple[str, str, str, Mapping[str, Any]]], hardware_id: str = "riins") -> Fields:
     """diagnostic_msgs/DiagnosticArray of (name, level, message, values); level is one of `LEVELS`."""
     return {
@@ -422,6 +427,7 @@ def _subfilter(sub: Any) -> Fields:
         "rejected": int(sub.rejected),
         "late": int(sub.late),
         "malformed": int(sub.malformed),
+        "no_fix": int(sub.no_fix),
     }
 
 

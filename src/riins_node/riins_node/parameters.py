@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 import yaml
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -43,7 +43,9 @@ class _Leaf:
     optional: bool
 
 
-def declare(node: Node, config_class: type[T], overrides: Mapping[str, Any] | None = None, also: Iterable[str] = ()) -> T:
+def declare(
+    node: Node, config_class: type[T], overrides: Mapping[str, Any] | None = None, also: Iterable[str] = (), services: Mapping[str, str] | None = None
+) -> T:  # fmt: skip
     """Declare one read-only parameter per leaf of a settings class and return the settings that hold.
 
     Parameters
@@ -52,6 +54,7 @@ def declare(node: Node, config_class: type[T], overrides: Mapping[str, Any] | No
     config_class : settings class (riins_core.settings); sections become dotted names
     overrides : values by dotted name that take the place of the class's defaults, below what the user gives
     also : further parameter names that the node declares itself
+    services : services by the name of the parameter they change while the node runs; an attempt to set it is refused in a line that names them
 
     Returns
     -------
@@ -76,6 +79,7 @@ def declare(node: Node, config_class: type[T], overrides: Mapping[str, Any] | No
     except SettingError as error:
         raise ParameterError(f"parameter {error}") from None
     flat = flatten(as_mapping(config))
+    services = services or {}
     for name, leaf in leaves.items():
         node._parameter_overrides.pop(name, None)
         value = flat[name]
@@ -86,7 +90,19 @@ def declare(node: Node, config_class: type[T], overrides: Mapping[str, Any] | No
             node._parameters[name] = Parameter(name, leaf.type, [])
         else:
             node.declare_parameter(name, value, _descriptor(leaf))
+    if services:
+        for name in services:  # rclpy refuses to set a read-only parameter before it asks us, and says no more than that
+            node._descriptors[name].read_only = False
+        node.add_on_set_parameters_callback(lambda given: _refuse(node, services, given))
     return config
+
+
+def _refuse(node: Node, services: Mapping[str, str], given: Iterable[Parameter]) -> SetParametersResult:
+    for parameter in given:
+        if parameter.name in services:
+            service = services[parameter.name].replace("~", node.get_fully_qualified_name())
+            return SetParametersResult(successful=False, reason=f'"{parameter.name}" is what the node starts with; call {service} to change it')
+    return SetParametersResult(successful=True)
 
 
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:

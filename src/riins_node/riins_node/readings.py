@@ -43,6 +43,16 @@ class FusedImuSample(TypedDict):
     recall_onset_ns: int
 
 
+class ImuReading(TypedDict):
+    """rate, force: (3,) FRD, rad/s, m/s^2; their covariances (3, 3) FRD, zeros when unknown."""
+
+    stamp_ns: int
+    rate: Array
+    force: Array
+    rate_covariance: Array
+    force_covariance: Array
+
+
 class AidReading(TypedDict):
     """z, R, ok as in riins_federated.types.Aid."""
 
@@ -81,6 +91,17 @@ def read_fused_imu(msg: Any) -> FusedImuSample:
         "angle_recall": frames.flu_to_frd(_vector(msg.angle_recall)),
         "velocity_recall": frames.flu_to_frd(_vector(msg.velocity_recall)),
         "recall_onset_ns": to_ns(msg.recall_onset),
+    }
+
+
+def read_imu(msg: Any) -> ImuReading:
+    """Read sensor_msgs/Imu, of which the orientation is not used: the axes of its own frame from FLU to FRD."""
+    return {
+        "stamp_ns": to_ns(msg.header.stamp),
+        "rate": frames.flu_to_frd(_vector(msg.angular_velocity)),
+        "force": frames.flu_to_frd(_vector(msg.linear_acceleration)),
+        "rate_covariance": frames.flu_to_frd_covariance(_covariance(msg.angular_velocity_covariance)),
+        "force_covariance": frames.flu_to_frd_covariance(_covariance(msg.linear_acceleration_covariance)),
     }
 
 
@@ -207,8 +228,19 @@ def is_for_fusion(target: str) -> bool:
     return target.startswith(("gyro_", "accel_"))
 
 
+def read_fusion_method(msg: Any) -> dict[str, Any]:
+    """Read riins_msgs/FusionMethod: the arguments of FusionPipeline.set_method by name; a stamp of zero holds from the next sample on."""
+    names = {name: str(getattr(msg, name)) for name in ("fusion", "parity_test", "sequential_test")}
+    return {**names, "adapt_noise": bool(msg.adapt_noise), "effective_ns": to_ns(msg.header.stamp)}
+
+
 def _vector(v: Any) -> Array:
     return np.array([v.x, v.y, v.z], np.float64)
+
+
+def _covariance(values: Any) -> Array:
+    covariance = np.array(values, np.float64).reshape(3, 3)
+    return np.zeros((3, 3)) if covariance[0, 0] == -1.0 else covariance
 
 
 def _linear_covariance(msg: Any) -> Array:
