@@ -1,6 +1,6 @@
 """Compilation of kernels: numba's njit with the types of the function kept, and a cache that notices every change.
 
-Lives here: `jit`. Kernels work sample by sample on plain arrays, call no BLAS and never use fastmath, so a result cannot depend on the block size.
+Lives here: `jit`, `inner`. Kernels work sample by sample on plain arrays, call no BLAS, never use fastmath: no result depends on the block size.
 Does not live here: any mathematics, and the warming of kernels (each algorithm object has its own `warm_up`).
 """
 
@@ -37,7 +37,38 @@ def jit(function: Function) -> Function:
     numba's own cache looks at the date of the file a kernel stands in, so it misses an edit of a kernel or a constant in another file and
     goes on with old code. Here an entry is good for the contents of the file and of all files of ours it imports, directly or not.
     """
-    compiled = cast(Any, numba.njit(nogil=True)(function))
+    return _cached(function, numba.njit(nogil=True, no_cfunc_wrapper=True)(function))
+
+
+def inner(function: Function) -> Function:
+    """Compile `function` as `jit` does, for calls from other kernels alone.
+
+    Parameters
+    ----------
+    function : as in `jit`
+
+    Raises
+    ------
+    TypeError
+        At a call from Python.
+
+    Notes
+    -----
+    To take a tuple of arrays apart for a call from Python is more code than many a kernel is: without it kernels compile sooner.
+    """
+
+    def keep(result: Any) -> None:
+        compiled.overloads[tuple(result.signature.args)] = result  # what numba does besides, to enter it for calls from Python, would end in a crash
+
+    def refuse(*args: Any, **kwargs: Any) -> None:
+        raise TypeError(f"{function.__name__} is for calls from other kernels")
+
+    compiled = cast(Any, numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function))
+    compiled.add_overload, compiled._compile_for_args = keep, refuse
+    return _cached(function, compiled)
+
+
+def _cached(function: Function, compiled: Any) -> Function:
     compiled.enable_caching()
     # numba has no public way to say what an entry depends on; test_core_jit.py fails if this stops working
     compiled._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 from riins_core.kalman import cholesky_into, update_joseph
 from riins_core.settings import setting
 
@@ -64,7 +64,7 @@ def fade(P: Array, V: Array, factor: float) -> None:
                 P[i, j] += (factor - 1.0) * PV[i, r] * PV[j, r]
 
 
-@jit
+@inner
 def adaptive_step(
     d: Array, P: Array, Q: Array, past: Array, b: float, beta: float, rho: float, V: Array, RV: Array, z: Array,
     p: Array, dz: Array, S: Array, e: Array, before: Array, old: Array,

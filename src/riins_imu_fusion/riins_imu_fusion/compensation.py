@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from riins_fdi.health import Change, HealthMachine
 from riins_imu_fusion.config import FusionConfig
-from riins_imu_fusion.corrections import unresolved_long
 from riins_imu_fusion.glr_kf import make_rules, make_state
-from riins_imu_fusion.glr_kf_kernel import dead
-from riins_imu_fusion.glr_kf_resolve import answer
-from riins_imu_fusion.glr_kf_state import CALL, CHANGED, NOISE, OPEN, OTHER_SET, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.glr_kf_answer import answer, forgive
+from riins_imu_fusion.glr_kf_resolve import resolve, take_in
+from riins_imu_fusion.glr_kf_state import CALL, CHANGED, DEAD, NOISE, OPEN, STRANGE, USED, GlrRules, GlrState
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.state import Tables
 from riins_imu_fusion.types import Reason
@@ -40,7 +39,7 @@ class Compensation:
     def __init__(self, config: FusionConfig) -> None:
         array, sigma = config.array(), config.sigma()
         bias = (config.gyro_bias_sigma, config.accel_bias_sigma)
-        self._settings, self._wanted = config.glr, config.method == "glr_kf"
+        self._settings = config.glr
         self._models = [TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz) for k in range(2)]
         self.rules: tuple[GlrRules, GlrRules] = (make_rules(self._models[0], config.glr), make_rules(self._models[1], config.glr))
 
@@ -49,18 +48,17 @@ class Compensation:
         return make_state(self._models[0], self._settings), make_state(self._models[1], self._settings)
 
     def warm_up(self) -> None:
-        """Compile or load what answers the filter, if it is wanted at all."""
-        if self._wanted:
-            glr = self.fresh()[0]
-            glr.ints[CALL] = OTHER_SET
-            n = glr.vec.shape[1]
-            answer(glr, self.rules[0], np.zeros((0, n)), np.zeros(n))
+        """Compile or load what answers the filter: it may be selected at any time."""
+        glr, rules = self.fresh()[0], self.rules[0]
+        d, n = glr.V.shape
+        resolve(glr, rules, np.empty((d, d)), np.empty((d, n)), np.empty(d))
+        take_in(glr, rules, -1, -1, 0, 0)
 
     def answer(self, kind: int, glr: GlrState, tables: Tables, slot: int) -> None:
         """Do what the filter asks for after a sample of the set of sensors in `slot`."""
         if glr.ints[CALL]:
             V = tables.V[kind, slot, : tables.dof[kind, slot]]
-            answer(glr, self.rules[kind], V, tables.member[kind, slot])
+            answer(glr, self.rules[kind], V, tables.member[kind, slot], tables.W[kind, slot])
 
     def findings(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
         """Step the health of the sensors the filter has opened or closed after a sample: (sensor, change, what to say of it)."""
@@ -79,14 +77,14 @@ class Compensation:
         glr.ints[CHANGED] = 0
         made = []
         for index, machine in enumerate(machines):
-            if dead(glr, self.rules[kind], index) and (change := machine.isolate(stamp_ns, int(Reason.PARITY))) is not None:
+            if glr.whole[DEAD, index] and (change := machine.isolate(stamp_ns, int(Reason.PARITY))) is not None:
                 noisy = glr.vec[NOISE, index] > self.rules[kind].noise_limit
                 made.append((index, change, ", too noisy" if noisy else f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} too large"))
         return made
 
-    def doubts(self, kind: int, glr: GlrState) -> bool:
-        """An alarm of the filter has long been unresolved."""
-        return unresolved_long(glr, self.rules[kind])
+    def recalled(self, kind: int, glr: GlrState, index: int) -> None:
+        """What a sensor that leaves has put in is taken out at once by those who integrate: nothing of it is owed."""
+        forgive(glr, index, self.rules[kind])
 
     def go_over(self, kind: int, glr: GlrState) -> None:
         """Another set of sensors is in use: the filter goes over to it at the next sample."""

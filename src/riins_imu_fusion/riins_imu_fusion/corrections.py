@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
+from riins_core.jit import inner
 from riins_imu_fusion.adaptive import adaptive_step
 from riins_imu_fusion.drift_compensated import feed_back
 from riins_imu_fusion.glr_kf_kernel import hold, other_set, step
 
 # isort: off
 from riins_imu_fusion.glr_kf_state import (
-    ACTIVE, CALL, CHANGED, COUNT, COV, DOUBT, FIRST, NONE, OPEN, REMOVED, SINCE, STATE, USED, GlrRules, GlrState, X,
+    ACTIVE, CALL, CHANGED, COV, NONE, OPEN, REMOVED, STATE, USED, GlrRules, GlrState, X,
 )  # fmt: skip
 
 # isort: on
@@ -27,7 +27,7 @@ FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC
 """Number of each fusion method by the name that methods.METHODS gives it."""
 
 
-@jit
+@inner
 def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
     """Measurements without the drifts that glr_kf knew before this sample; those of opt, aopt and optdc stay in: they answer for no threshold."""
     for i in range(z.shape[1]):
@@ -36,7 +36,7 @@ def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
             tested[kind, i] -= glr.vec[X, i]
 
 
-@jit
+@inner
 def follow(
     kind: int, fusion: int, alarm: int, dof: int, V: F, member: F, W: F, z: F, numbers: F, st: DriftState, clean: F, removed: F, excess: F
 ) -> None:  # fmt: skip
@@ -77,7 +77,7 @@ def follow(
                     excess[a, b] += W[a, i] * P[i, j] * W[b, j]
 
 
-@jit
+@inner
 def learn(
     kind: int, alarm: int, dof: int, member: F, z: F, glr: GlrState, rules: GlrRules, clean: F, drift: F
 ) -> bool:  # fmt: skip
@@ -97,19 +97,24 @@ def learn(
     return bool(glr.ints[CALL] != NONE or glr.ints[CHANGED] == 1)
 
 
-@jit
-def add_excess(glr: GlrState, member: F, W: F, excess: F) -> None:
-    """Covariance that the uncertainty of the drifts removed adds to that of the fused sample."""
-    n = member.shape[0]
+@inner
+def add_excess(glr: GlrState, rules: GlrRules, W: F, excess: F) -> None:
+    """Mean square that what is removed adds to the error of the fused sample.
+
+    That of drifts and biases, W P W', less that of the ordinary bias of the fused output which no parity sees and the sample has in any case;
+    and what is put into this sample to make up for earlier ones.
+    """
+    n = W.shape[1]
+    repaid = np.zeros(3)
     for i in range(n):
-        for j in range(n):
-            if glr.whole[STATE, i] == OPEN and glr.whole[STATE, j] == OPEN and member[i] * member[j] > 0.0:
-                for a in range(3):
-                    for b in range(3):
-                        excess[a, b] += W[a, i] * glr.mat[COV, i, j] * W[b, j]
-
-
-@jit
-def unresolved_long(glr: GlrState, rules: GlrRules) -> bool:
-    """An alarm has gone on for long and nobody is supposed to be its cause."""
-    return bool(glr.ints[DOUBT] == 1 and glr.ints[FIRST] == 0 and glr.ints[COUNT] - glr.ints[SINCE] > rules.doubt)
+        for a in range(3):
+            repaid[a] += W[a, i] * (glr.vec[REMOVED, i] - glr.vec[X, i])
+    for a in range(3):
+        for b in range(a + 1):
+            s = repaid[a] * repaid[b] - rules.common[a, b]
+            for i in range(n):
+                for j in range(n):
+                    s += W[a, i] * glr.mat[COV, i, j] * W[b, j]
+            excess[a, b] += s
+            if a != b:
+                excess[b, a] += s

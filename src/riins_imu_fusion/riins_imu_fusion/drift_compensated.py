@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 from riins_core.settings import setting
 
 from .method import Fused, FusionMethod, Table, TriadModel
@@ -50,7 +50,7 @@ def drift_factor(total: Array, D: Array, d: Array, alpha: Array) -> None:
         alpha[i] = alpha[i] / s if s > 0.0 else 1.0 / n
 
 
-@jit
+@inner
 def feed_back(d: Array, D: Array, total: Array, step: float, alpha: Array) -> None:
     """Move a part of the estimated drift `d` into the compensation `D`; `alpha` (n,) is written, the rest as in `compensated_block`."""
     drift_factor(total, D, d, alpha)

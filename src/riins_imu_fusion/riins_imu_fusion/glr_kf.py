@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from riins_core.settings import setting
 from riins_fdi.innovation import nis_threshold
 
+from .glr_kf_answer import answer, open_now
 from .glr_kf_kernel import fuse_block
-from .glr_kf_resolve import answer, open_now
 from .glr_kf_state import CALL, DOUBT, OPEN, WALK, GlrRules, GlrState, fresh
 from .method import Fused, FusionMethod, Table, TriadModel
 
@@ -71,6 +71,8 @@ def make_rules(model: TriadModel, settings: GlrSettings) -> GlrRules:
     return GlrRules(
         batch=batch,
         each=np.stack([model.R, model.P, model.Q, settings.floor**2 * model.R]),
+        H=np.array(model.array.H),  # to be written, as any copy of it is: one type for the compiler
+        common=_common(model),
         alarm=alarm_threshold(settings.mean_time_between_false_alarms_h, 1.0 / (batch * model.dt), model.array.n),
         sure=settings.sure,
         again=settings.again,
@@ -89,6 +91,12 @@ def make_rules(model: TriadModel, settings: GlrSettings) -> GlrRules:
         doubt=round(settings.doubt_s / model.dt),
         patience=round(settings.patience_s / model.dt),
     )
+
+
+def _common(model: TriadModel) -> Array:
+    """Covariance (3, 3) of the bias of the fused output when every parity is known: what the prior says of the range of H."""
+    H = model.array.H
+    return np.asarray(np.linalg.inv(H.T @ (H / model.P[:, None]))) if np.all(model.P > 0.0) else np.zeros((3, 3))
 
 
 def make_state(model: TriadModel, settings: GlrSettings) -> GlrState:
@@ -160,4 +168,4 @@ class GlrKalman(FusionMethod):
         while k < len(z):
             k = fuse_block(k, z, table.used, len(V), table.W, state, self.rules, out.x, out.covariance, out.drift)
             if state.ints[CALL]:
-                answer(state, self.rules, V, table.used)
+                answer(state, self.rules, V, table.used, table.W)

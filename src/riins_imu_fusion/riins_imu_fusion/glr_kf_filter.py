@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
+from riins_core.jit import inner
 
 from .glr_kf_state import (
+    ANEW,
     AT,
     CLOSED,
     COUNT,
@@ -20,14 +21,10 @@ from .glr_kf_state import (
     CROSS_THEN,
     DOF,
     EXPECTED,
-    FILLED,
     JUMP,
-    LOG,
     OPENED_AT,
-    SIGMA2,
     SLOTS,
     STATE,
-    STRIDE,
     SUM,
     SUM_THEN,
     TOTAL,
@@ -38,10 +35,10 @@ from .glr_kf_state import (
     GlrRules,
     GlrState,
     X,
-)
+)  # fmt: skip
 
 
-@jit
+@inner
 def absorb(V: F, d: int, p: F, variance: float, x: F, P: F, C: F, total: F) -> None:
     """Kalman update with a parity vector (d,) of unit noise times sqrt(variance), row by row; `total` is carried along by C."""
     n = x.shape[0]
@@ -72,34 +69,38 @@ def absorb(V: F, d: int, p: F, variance: float, x: F, P: F, C: F, total: F) -> N
                 C[i, j] -= k * Ph[j]
 
 
-@jit
+@inner
 def remember(st: GlrState, level: int) -> None:
     """Keep the present moment on a level."""
-    s = st.ring[level, 0]
+    n, s = st.vec.shape[1], st.ring[level, 0]
     st.ring[level, 0] = (s + 1) % SLOTS
     st.ring[level, 1] = min(SLOTS, st.ring[level, 1] + 1)
     st.ring[level, AT + s] = st.ints[COUNT]
     for r in range(st.ints[DOF]):
         st.r_par[level, s, SUM_THEN, r] = st.par[SUM, r]
         a = 0.0
-        for i in range(st.vec.shape[1]):
+        for i in range(n):
             a += st.V[r, i] * st.vec[X, i]
         st.r_par[level, s, EXPECTED, r] = a
-    st.r_vec[level, s, X_THEN] = st.vec[X]
-    st.r_mat[level, s, COV_THEN] = st.mat[COV]
-    st.r_mat[level, s, CROSS_THEN] = st.mat[CROSS]
-    st.r_vec[level, s, TOTAL_THEN] = st.vec[TOTAL]
+    for i in range(n):
+        st.r_vec[level, s, X_THEN, i] = st.vec[X, i]
+        st.r_vec[level, s, TOTAL_THEN, i] = st.vec[TOTAL, i]
+        for j in range(n):
+            st.r_mat[level, s, COV_THEN, i, j] = st.mat[COV, i, j]
+            st.r_mat[level, s, CROSS_THEN, i, j] = st.mat[CROSS, i, j]
 
 
-@jit
-def forget(st: GlrState) -> None:
+@inner
+def begin_anew(st: GlrState) -> None:
     """Begin all windows at the present moment."""
+    st.ints[ANEW] = 0
     for level in range(st.ring.shape[0]):
-        st.ring[level] = 0
+        st.ring[level, 0] = 0
+        st.ring[level, 1] = 0
         remember(st, level)
 
 
-@jit
+@inner
 def whiten(V: F, d: int, nu: F, S: F, u: F, t: F) -> bool:
     """t = L^-1 nu, u = L^-1 V with S = L L', in place; False: S is not positive definite. S is destroyed."""
     n = V.shape[1]
@@ -126,31 +127,9 @@ def whiten(V: F, d: int, nu: F, S: F, u: F, t: F) -> bool:
     return True
 
 
-@jit
+@inner
 def wander(st: GlrState, rules: GlrRules, i: int, count: int) -> float:
     """Variance of the step of a sensor's drift: of one that is open, as if it changed by `restless` of its size whenever its age has grown e-fold."""
     if st.whole[STATE, i] == CLOSED:
         return float(st.vec[WALK, i])
     return float(st.vec[WALK, i] + (rules.restless * st.vec[JUMP, i]) ** 2 / max(count - st.whole[OPENED_AT, i], 1))
-
-
-@jit
-def free(st: GlrState, rules: GlrRules, index: int, at: int) -> None:
-    """Let the drift of a sensor be anything from now on."""
-    st.mat[COV, index, index] += rules.each[SIGMA2, index] * rules.diffuse**2
-
-
-@jit
-def log_moment(st: GlrState, count: int, total: F) -> None:
-    """Append a moment; a full log drops every second one but the first."""
-    if st.ints[FILLED] == LOG:
-        kept = 1
-        for q in range(2, LOG, 2):
-            st.log_at[kept] = st.log_at[q]
-            st.log_sum[kept] = st.log_sum[q]
-            kept += 1
-        st.ints[FILLED] = kept
-        st.ints[STRIDE] *= 2
-    st.log_at[st.ints[FILLED]] = count
-    st.log_sum[st.ints[FILLED]] = total
-    st.ints[FILLED] += 1

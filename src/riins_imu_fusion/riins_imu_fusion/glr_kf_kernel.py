@@ -8,58 +8,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
-from .glr_kf_filter import absorb, log_moment, remember, wander, whiten
+from .glr_kf_filter import absorb, begin_anew, remember, wander, whiten
+
+# isort: off
 from .glr_kf_state import (
-    ACTIVE,
-    ALARM,
-    AT,
-    BASED,
-    BEFORE,
-    CALL,
-    CHANGED,
-    CLOSED,
-    COUNT,
-    COV,
-    COV_THEN,
-    CROSS,
-    DOF,
-    DONE,
-    DOUBT,
-    EXPECTED,
-    FLOOR2,
-    JUMP,
-    LEVEL,
-    NOISE,
-    NONE,
-    OPEN,
-    OTHER_SET,
-    PAID,
-    PARITY,
-    REMOVED,
-    RESOLVE,
-    SIGMA2,
-    SLOT,
-    SMALL_FOR,
-    STATE,
-    STEP2,
-    STRANGE,
-    STRIDE,
-    SUM,
-    SUM_THEN,
-    TOTAL,
-    USED,
-    WALK,
-    F,
-    GlrRules,
-    GlrState,
-    X,
-)
+    ACTIVE, ALARM, ANEW, AT, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN, CROSS, DEAD, DOF, DONE, DOUBT, EXPECTED, FIRST, FLOOR2,
+    JUMP, LEVEL, LONG, NOISE, NONE, NOTE, OPEN, OTHER_SET, PAID, PARITY, REMOVED, RESOLVE, SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2,
+    STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, USED, WALK, F, GlrRules, GlrState, X,
+)  # fmt: skip
+# isort: on
 from .wls import weigh
 
 
-@jit
+@inner
 def test_windows(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> tuple[int, int]:
     """Likelihood ratio of a change at each moment remembered, 2 ln L1/L0 maximized over its size, for each sensor.
 
@@ -107,13 +70,15 @@ def test_windows(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> tupl
     return at_level, at_slot
 
 
-@jit
+@inner
 def step(z: F, st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> None:
     """One sample (n,) of the set of sensors the state is based on; st.vec[REMOVED] is what is to be removed from it.
 
     When st.ints[CALL] is not NONE afterwards, `answer` is to be called before the next sample.
     """
     n, d = st.vec.shape[1], st.ints[DOF]
+    if st.ints[ANEW] == 1:
+        begin_anew(st)
     for r in range(d):
         s = 0.0
         for i in range(n):
@@ -127,7 +92,7 @@ def step(z: F, st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> None:
         remove(st, rules)
 
 
-@jit
+@inner
 def tick(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> None:
     """Work in the batch of samples that is complete."""
     n, d, count, w = st.vec.shape[1], st.ints[DOF], st.ints[COUNT], rules.batch
@@ -147,10 +112,11 @@ def tick(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> None:
     if st.ints[ACTIVE] == 1:
         review(st, rules, beat)
     if st.ints[DOUBT] == 1:
+        st.ints[LONG] = 1 if st.ints[FIRST] == 0 and count - st.ints[SINCE] > rules.doubt else 0
         if beat % (2 * st.ints[STRIDE]) == 0:
             st.ints[CALL] = RESOLVE
         elif beat % st.ints[STRIDE] == 0:
-            log_moment(st, count, st.par[SUM])
+            st.ints[CALL] = NOTE
         return
     level, slot = test_windows(st, rules, nu, S, u, t)
     if level >= 0:
@@ -162,7 +128,7 @@ def tick(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> None:
         remember(st, level)
 
 
-@jit
+@inner
 def along(st: GlrState, i: int) -> tuple[float, float]:
     """v_i'v_i and v_i' V P V' v_i: what the parities know of a sensor's drift has the variance of the latter over the square of the former."""
     n, d = st.vec.shape[1], st.ints[DOF]
@@ -177,7 +143,7 @@ def along(st: GlrState, i: int) -> tuple[float, float]:
     return w[i], s
 
 
-@jit
+@inner
 def watch(st: GlrState, rules: GlrRules, mean: F) -> None:
     """Running mean square of the open sensors' innovations along their own direction, 1 for white noise of the known size."""
     n, d = st.vec.shape[1], st.ints[DOF]
@@ -194,19 +160,13 @@ def watch(st: GlrState, rules: GlrRules, mean: F) -> None:
         st.vec[NOISE, i] += rules.noise_gain * (a * a / (g / rules.batch + s) - st.vec[NOISE, i])
 
 
-@jit
-def dead(st: GlrState, rules: GlrRules, i: int) -> bool:
-    """Whether an open sensor has too much noise or too large a drift to be kept."""
-    if st.whole[STATE, i] != OPEN or st.vec[USED, i] == 0.0:
-        return False
-    return bool(st.vec[NOISE, i] > rules.noise_limit or st.vec[X, i] * st.vec[X, i] > rules.drift_limit**2 * rules.each[SIGMA2, i])
-
-
-@jit
+@inner
 def review(st: GlrState, rules: GlrRules, beat: int) -> None:
-    """Mark a sensor that is dead; close one whose drift has gone."""
+    """Mark a sensor that is dead: too much noise or too large a drift to be kept; close one whose drift has gone."""
     for i in range(st.vec.shape[1]):
-        if dead(st, rules, i):
+        too_far = st.vec[X, i] * st.vec[X, i] > rules.drift_limit**2 * rules.each[SIGMA2, i]
+        if st.whole[STATE, i] == OPEN and st.vec[USED, i] > 0.0 and (too_far or st.vec[NOISE, i] > rules.noise_limit):
+            st.whole[DEAD, i] = 1
             st.ints[CHANGED] = 1
         elif st.whole[STATE, i] == OPEN and beat % 16 == 0 and st.ints[DOUBT] == 0:
             g, s = along(st, i)
@@ -219,7 +179,7 @@ def review(st: GlrState, rules: GlrRules, beat: int) -> None:
                 st.ints[CHANGED] = 1
 
 
-@jit
+@inner
 def hold(st: GlrState) -> None:
     """A sample that is not worked in: the drifts go on."""
     if st.ints[ACTIVE] == 1:
@@ -229,7 +189,7 @@ def hold(st: GlrState) -> None:
             st.vec[PAID, i] += st.vec[X, i]
 
 
-@jit
+@inner
 def remove(st: GlrState, rules: GlrRules) -> None:
     """What is removed from this sample: the drift, and part of what earlier samples should have had removed by what is known now."""
     lead = st.ints[COUNT] % rules.batch  # `total` is that of the last complete batch
@@ -238,9 +198,13 @@ def remove(st: GlrState, rules: GlrRules) -> None:
         debt = st.vec[TOTAL, i] + lead * st.vec[X, i] - st.vec[PAID, i]
         st.vec[REMOVED, i] = st.vec[X, i] + rules.payback * debt
         st.vec[PAID, i] += st.vec[REMOVED, i]
+        for a in range(3):  # along H it is removed from the fused output, whoever is in use, and no parity sees it
+            st.vec[REMOVED, i] += rules.payback * rules.H[i, a] * st.owed[a]
+    for a in range(3):
+        st.owed[a] -= rules.payback * st.owed[a]
 
 
-@jit
+@inner
 def other_set(st: GlrState, rules: GlrRules, used: F) -> bool:
     """Whether a sample has other sensors than the filter works with; when that lasts, `answer` is to go over to them."""
     same = True

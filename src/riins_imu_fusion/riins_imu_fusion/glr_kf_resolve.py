@@ -1,23 +1,20 @@
-"""Who explains an alarm of `glr_kf`: the log of parity sums since the moment before it, every sensor and every pair weighed.
+"""Who explains an alarm of `glr_kf`: every sensor and every pair weighed by the log of parity sums since the moment before it.
 
-Lives here: the log, the hypotheses and their likelihoods, going back to the base of the log under one of them.
-Does not live here: what raises an alarm (glr_kf_kernel.py), the filter's steps (glr_kf_filter.py).
+Lives here: the hypotheses and their likelihoods; the log taken in again under one of them.
+Does not live here: the log and what follows from a verdict (glr_kf_answer.py), what raises an alarm (glr_kf_kernel.py).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
-from .glr_kf_filter import absorb, forget, free, log_moment, wander, whiten
+from .glr_kf_filter import absorb, wander, whiten
 
 # isort: off
 from .glr_kf_state import (
-    ACTIVE, ALARM, AT, BASE_COV, BASE_CROSS, BASE_SUM, BASE_TOTAL, BASE_X, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN,
-    CROSS, CROSS_THEN, DOF, DONE, DOUBT, FILLED, FIRST, FLOOR2, JUMP, LEVEL, NOISE, NONE, OPEN, OPENED_AT, OTHER_SET, PAID, PRIOR2, SECOND,
-    SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2, STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, TOTAL_THEN, USED, WALK, X_THEN, F, GlrRules,
-    GlrState, X,
+    BASE_COV, BASE_SUM, BASE_X, COUNT, COV, CROSS, DOF, FILLED, FLOOR2, OPEN, SIGMA2, STATE, SUM, TOTAL, F, GlrRules, GlrState, X,
 )  # fmt: skip
 # isort: on
 
@@ -25,49 +22,7 @@ from .glr_kf_state import (
 QUIET, OPENED, DOUBTFUL = 0, 1, 2
 
 
-@jit
-def begin_log(st: GlrState, level: int, slot: int) -> None:
-    """An alarm: keep the moment before its onset, and the sums at all moments remembered since then."""
-    began = st.ring[level, AT + slot]
-    older, place, at = -1, -1, -1
-    for q in range(st.ring[level, 1]):  # one moment earlier than the likeliest, if there is one: the onset may lie between the two
-        if st.ring[level, AT + q] < began and st.ring[level, AT + q] > at:
-            older, place, at = level, q, st.ring[level, AT + q]
-    if older < 0:
-        older, place, at = level, slot, began
-    st.vec[BASE_X, :] = st.r_vec[older, place, X_THEN]
-    st.mat[BASE_COV, :] = st.r_mat[older, place, COV_THEN]
-    st.mat[BASE_CROSS, :] = st.r_mat[older, place, CROSS_THEN]
-    st.vec[BASE_TOTAL, :] = st.r_vec[older, place, TOTAL_THEN]
-    st.par[BASE_SUM, :] = st.r_par[older, place, SUM_THEN]
-    st.ints[DOUBT] = 1
-    st.ints[SINCE] = st.ints[COUNT]
-    st.ints[STRIDE] = 1
-    st.ints[FILLED] = 0
-    last = at - 1
-    while True:  # in order of time, each once
-        nearest, f_level, f_slot = st.ints[COUNT], -1, -1
-        for q_level in range(st.ring.shape[0]):
-            for q in range(st.ring[q_level, 1]):
-                a = st.ring[q_level, AT + q]
-                if a > last and a < nearest:
-                    nearest, f_level, f_slot = a, q_level, q
-        if f_level < 0:
-            break
-        log_moment(st, nearest, st.r_par[f_level, f_slot, SUM_THEN])
-        last = nearest
-
-
-@jit
-def close_log(st: GlrState) -> None:
-    """The alarm is over; all windows begin now."""
-    st.ints[DOUBT] = 0
-    st.ints[FIRST] = 0
-    st.ints[SECOND] = 0
-    forget(st)
-
-
-@jit
+@inner
 def shapes(st: GlrState, w: float, y: F, gram: F, weight: F, mean: F) -> int:
     """What a drift may look like since the base of the log: steps at each entry, then ramps from every second one on (end at 1).
 
@@ -117,13 +72,13 @@ def shapes(st: GlrState, w: float, y: F, gram: F, weight: F, mean: F) -> int:
     return K
 
 
-@jit
+@inner
 def onset(k: int, G: int) -> int:
     """Entry of the log at which a shape begins."""
     return k if k < G else 2 * (k - G)
 
 
-@jit
+@inner
 def best_two(b_i: F, b_j: F, a_i: F, a_j: F, vv: float, uu: float, gram: F, weight: F, w: float, K: int, same: bool) -> tuple[float, int, int]:
     """Largest statistic of two drifts of any shapes, and the shapes; `same`: both of one sensor."""
     top, top_k, top_j = -1.0, 0, 0
@@ -244,28 +199,33 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
     return DOUBTFUL, -1, -1, 0, 0
 
 
+@inner
+def growth(st: GlrState, i: int, age: int) -> float:
+    """Variance of a step for a drift that has become about as large as the parity of the last half of the log along its sensor, within `age`."""
+    g = st.ints[FILLED] // 2
+    w = float(st.ints[COUNT] - st.log_at[g])
+    a, b = 0.0, 0.0
+    for r in range(st.ints[DOF]):
+        e = (st.par[SUM, r] - st.log_sum[g, r]) / w
+        for k in range(st.vec.shape[1]):
+            e -= st.V[r, k] * st.vec[BASE_X, k]
+        a += st.V[r, i] * e
+        b += st.V[r, i] * st.V[r, i]
+    return float((a / b) ** 2 / age)
+
+
 @jit
-def suppose(st: GlrState, rules: GlrRules, first: int, second: int, shape_first: int, shape_second: int) -> None:
-    """Go back to the base of the log, let the drift of up to two sensors be anything from its onset on, and take in what has come since.
+def take_in(st: GlrState, rules: GlrRules, first: int, second: int, shape_first: int, shape_second: int) -> None:
+    """From the base of the log on, let the drift of up to two sensors be anything from its onset on, and take in what has come since.
 
     One that grows like a ramp wanders while the log is taken in, by as much as the parities say.
     """
     n, d, G = st.vec.shape[1], st.ints[DOF], st.ints[FILLED]
-    if st.ints[ACTIVE] == 0:
-        # nothing has been removed so far: what is known of healthy sensors is not seen in W, so it may as well have been
-        for i in range(n):
-            st.vec[PAID, i] = st.vec[BASE_TOTAL, i] + (st.ints[COUNT] - st.log_at[0]) * st.vec[BASE_X, i]
-        st.ints[ACTIVE] = 1
-    st.vec[X, :] = st.vec[BASE_X]
-    st.mat[COV, :] = st.mat[BASE_COV]
-    st.mat[CROSS, :] = st.mat[BASE_CROSS]
-    st.vec[TOTAL, :] = st.vec[BASE_TOTAL]
     mean = np.empty(d)
     for g in range(G):
-        if first >= 0 and g == onset(shape_first, G):
-            free(st, rules, first, st.log_at[g])
-        if second >= 0 and g == onset(shape_second, G):
-            free(st, rules, second, st.log_at[g])
+        for i, shape in ((first, shape_first), (second, shape_second)):
+            if i >= 0 and g == onset(shape, G):
+                st.mat[COV, i, i] += rules.each[SIGMA2, i] * rules.diffuse**2
         end = st.log_at[g + 1] if g + 1 < G else st.ints[COUNT]
         w = end - st.log_at[g]
         if w < 1:
@@ -282,124 +242,3 @@ def suppose(st: GlrState, rules: GlrRules, first: int, second: int, shape_first:
             for j in range(n):
                 st.mat[CROSS, i, j] += w * st.mat[COV, i, j]
         absorb(st.V, d, mean, 1.0 / w, st.vec[X], st.mat[COV], st.mat[CROSS], st.vec[TOTAL])
-    st.ints[FIRST] = first + 1
-    st.ints[SECOND] = second + 1
-
-
-@jit
-def growth(st: GlrState, i: int, age: int) -> float:
-    """Variance of a step for a drift that has become about as large as the parity of the last half of the log along its sensor, within `age`."""
-    g = st.ints[FILLED] // 2
-    w = float(st.ints[COUNT] - st.log_at[g])
-    a, b = 0.0, 0.0
-    for r in range(st.ints[DOF]):
-        e = (st.par[SUM, r] - st.log_sum[g, r]) / w
-        for k in range(st.vec.shape[1]):
-            e -= st.V[r, k] * st.vec[BASE_X, k]
-        a += st.V[r, i] * e
-        b += st.V[r, i] * st.V[r, i]
-    return float((a / b) ** 2 / age)
-
-
-@jit
-def settle(st: GlrState, first: int, second: int, shape_first: int, shape_second: int) -> None:
-    """What is supposed is so: the sensors are open from now on."""
-    if first >= 0:
-        mark_open(st, first, onset(shape_first, st.ints[FILLED]))
-    if second >= 0 and second != first:
-        mark_open(st, second, onset(shape_second, st.ints[FILLED]))
-    close_log(st)
-
-
-@jit
-def mark_open(st: GlrState, i: int, at: int) -> None:
-    """A sensor is open since an entry of the log."""
-    change = st.vec[X, i] - st.vec[BASE_X, i]
-    if st.whole[STATE, i] == OPEN:  # opened again: it wanders, and by about so much
-        age = max(st.log_at[at] - st.whole[OPENED_AT, i], 1)
-        st.vec[WALK, i] = max(st.vec[WALK, i], change * change / age)
-    else:
-        st.vec[BEFORE, i] = st.vec[BASE_X, i]
-    st.whole[STATE, i] = OPEN
-    st.whole[SMALL_FOR, i] = 0
-    st.whole[OPENED_AT, i] = st.log_at[at]
-    st.vec[JUMP, i] = change
-    st.vec[NOISE, i] = 1.0
-
-
-@jit
-def open_now(st: GlrState, rules: GlrRules, index: int) -> None:
-    """Open a sensor without an alarm, from the next sample on."""
-    if st.ints[ACTIVE] == 0:
-        st.vec[PAID, :] = st.vec[TOTAL]
-        st.ints[ACTIVE] = 1
-    free(st, rules, index, st.ints[COUNT])
-    st.whole[STATE, index] = OPEN
-    st.whole[OPENED_AT, index] = st.ints[COUNT]
-    st.vec[JUMP, index] = 0.0
-    st.vec[BEFORE, index] = st.vec[X, index]
-    close_log(st)
-
-
-@jit
-def rebase(st: GlrState, rules: GlrRules, V: F, used: F) -> None:
-    """Go over to another set of sensors; what is known of each stays, but one that comes in anew is as at the beginning."""
-    n, d = st.vec.shape[1], V.shape[0]
-    if st.ints[DOUBT] == 1:
-        suppose(st, rules, -1, -1, -1, -1)
-    first_time = st.ints[BASED] == 0
-    for i in range(n):
-        if used[i] > 0.0 and st.vec[USED, i] == 0.0:
-            st.vec[X, i] = 0.0
-            st.vec[TOTAL, i] = st.vec[PAID, i]
-            st.mat[COV, i] = 0.0
-            st.mat[COV, :, i] = 0.0
-            st.mat[CROSS, i] = 0.0
-            st.mat[CROSS, :, i] = 0.0
-            st.mat[COV, i, i] = rules.each[PRIOR2, i]
-            st.vec[WALK, i] = rules.each[STEP2, i]
-            st.whole[STATE, i] = CLOSED
-        st.vec[USED, i] = used[i]
-        st.whole[OPENED_AT, i] -= st.ints[COUNT]
-    st.V[:] = 0.0
-    for r in range(d):
-        for i in range(n):
-            st.V[r, i] = V[r, i]
-    if not first_time and st.ints[ACTIVE] == 0:  # the biases of the healthy ones are seen in the new W
-        st.vec[PAID, :] = st.vec[TOTAL]
-        st.ints[ACTIVE] = 1
-    st.ints[BASED] = 1
-    st.ints[DOF] = d
-    st.ints[COUNT] = 0
-    st.ints[STRANGE] = 0
-    st.par[SUM, :] = 0.0
-    st.par[DONE, :] = 0.0
-    close_log(st)
-
-
-@jit
-def answer(st: GlrState, rules: GlrRules, V: F, used: F) -> None:
-    """What the loop has asked for in st.ints[CALL]: it is seldom, and would make the loop long to compile.
-
-    Parameters
-    ----------
-    V, used : (d, n), (n,), parity matrix of unit noise and members of the set of sensors of the last sample
-    """
-    call, count = st.ints[CALL], st.ints[COUNT]
-    st.ints[CALL] = NONE
-    if call == OTHER_SET:
-        rebase(st, rules, V, used)
-        return
-    if call == ALARM:
-        begin_log(st, st.ints[LEVEL], st.ints[SLOT])
-    n, d = st.vec.shape[1], st.V.shape[0]
-    verdict, first, second, shape_first, shape_second = resolve(st, rules, np.empty((d, d)), np.empty((d, n)), np.empty(d))
-    if verdict == OPENED or first >= 0 or st.ints[FIRST] > 0:
-        suppose(st, rules, first, second, shape_first, shape_second)
-    if verdict == OPENED:
-        settle(st, first, second, shape_first, shape_second)
-        st.ints[CHANGED] = 1
-    elif verdict == QUIET:
-        close_log(st)
-    else:
-        log_moment(st, count, st.par[SUM])

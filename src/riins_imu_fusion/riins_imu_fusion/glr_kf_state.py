@@ -18,14 +18,15 @@ SLOTS = 8
 """Moments remembered on each level."""
 
 # elements of GlrState.ints
-COUNT, DOF, ACTIVE, DOUBT, FILLED, STRIDE, FIRST, SECOND, BASED, STRANGE, CHANGED, SINCE, CALL, LEVEL, SLOT = range(15)
+COUNT, DOF, ACTIVE, DOUBT, FILLED, STRIDE, FIRST, SECOND, BASED, STRANGE, CHANGED, SINCE, CALL, LEVEL, SLOT, ANEW, LONG = range(17)
 """samples; rows of V; 1: something has been removed; 1: an alarm is being resolved; entries of the log; samples between its entries; 1 + each of
 the sensors taken for the cause for the time being, 0: none; 1: there is a set of sensors; samples in a row with another one;
 1: a sensor was opened, closed or found dead; count at the beginning of the alarm; what the loop asks for;
-level and slot of an alarm"""
-INTS = 15
+level and slot of an alarm; 1: all windows begin with the next sample;
+1: an alarm has gone on for long and nobody is taken for its cause"""
+INTS = 17
 # values of CALL
-NONE, ALARM, RESOLVE, OTHER_SET = 0, 1, 2, 3
+NONE, ALARM, RESOLVE, OTHER_SET, NOTE = 0, 1, 2, 3, 4
 LOG = 24
 """Entries of the log of an alarm."""
 # rows of GlrState.vec
@@ -40,9 +41,9 @@ COV, CROSS, BASE_COV, BASE_CROSS = range(4)
 PARITY, SUM, DONE, BASE_SUM = range(4)
 """of the last sample; sum of all; of those worked in; at the base of the log"""
 # rows of GlrState.whole
-STATE, OPENED_AT, SMALL_FOR = range(3)
+STATE, OPENED_AT, SMALL_FOR, DEAD = range(4)
 CLOSED, OPEN = 0, 1
-"""values of STATE; SMALL_FOR: samples for which the drift of an open sensor has been gone"""
+"""values of STATE; SMALL_FOR: samples for which the drift of an open sensor has been gone; DEAD, 1: too noisy or too far to be kept"""
 # columns of GlrState.ring, and what is remembered of each moment
 NEXT, KEPT, AT = 0, 1, 2
 SUM_THEN, EXPECTED = 0, 1
@@ -59,6 +60,8 @@ class GlrRules(NamedTuple):
 
     batch: int  # samples worked in at once: each is 1/batch of the filter's cost
     each: F  # (4, n)
+    H: F  # (n, 3)
+    common: F  # (3, 3), covariance of the ordinary bias of the fused output, which no parity sees
     alarm: float  # threshold of a statistic with one degree of freedom
     sure: float  # below it nobody is opened for the first time: too little to tell one sensor from two
     again: float  # of a sensor that is open already
@@ -83,16 +86,18 @@ class GlrState(NamedTuple):
 
     ints: I
     V: F  # (d, n), parity matrix scaled to unit noise; rows beyond DOF and columns of sensors not used are zero
+    W: F  # (3, n), estimator of the set of sensors
     vec: F  # (11, n)
     mat: F  # (4, n, n)
     par: F  # (4, d)
-    whole: I  # (3, n)
+    whole: I  # (4, n)
     ring: I  # (L, 2 + SLOTS), of each level: next slot, slots kept, counts
     r_par: F  # (L, SLOTS, 2, d)
     r_vec: F  # (L, SLOTS, 2, n)
     r_mat: F  # (L, SLOTS, 2, n, n)
     log_at: I  # (LOG,), counts since an alarm; the first is that of the base
     log_sum: F  # (LOG, d)
+    owed: F  # (3,), sum over the samples of what sensors that have left put into the fused output, still to be removed
 
     @property
     def x(self) -> F:
@@ -116,16 +121,18 @@ def fresh(n: int, levels: int) -> GlrState:
     state = GlrState(
         ints=np.zeros(INTS, np.int64),
         V=np.zeros((d, n)),
+        W=np.zeros((3, n)),
         vec=np.zeros((11, n)),
         mat=np.zeros((4, n, n)),
         par=np.zeros((4, d)),
-        whole=np.zeros((3, n), np.int64),
+        whole=np.zeros((4, n), np.int64),
         ring=np.zeros((levels, 2 + SLOTS), np.int64),
         r_par=np.zeros((levels, SLOTS, 2, d)),
         r_vec=np.zeros((levels, SLOTS, 2, n)),
         r_mat=np.zeros((levels, SLOTS, 2, n, n)),
         log_at=np.zeros(LOG, np.int64),
         log_sum=np.zeros((LOG, d)),
+        owed=np.zeros(3),
     )
     state.vec[NOISE] = 1.0
     return state

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from riins_core.imu_array import ImuArray
-from riins_core.jit import jit
+from riins_core.jit import inner
 from riins_fdi.methods import DirectComparison, OptimalParityVector
 from riins_fdi.parity import parity_relations, parity_vector, suspect, suspect_pair
 from riins_imu_fusion.state import RESOLVED, UNRESOLVED, B, F, U
@@ -56,7 +56,7 @@ def equations(test: int, array: ImuArray, mask: int, sigma: ArrayLike, pfa: floa
     return np.zeros((0, array.n)), np.zeros(0, np.uint64), math.nan
 
 
-@jit
+@inner
 def quadratic(kind: int, slot: int, dof: int, whitened: F, z: F) -> float:
     """GLT statistic of the set of sensors in `slot`."""
     total = 0.0
@@ -68,7 +68,7 @@ def quadratic(kind: int, slot: int, dof: int, whitened: F, z: F) -> float:
     return total
 
 
-@jit
+@inner
 def largest(rows: F, z: F) -> float:
     """Largest absolute residual of the equations (q, n)."""
     most = 0.0
@@ -80,7 +80,7 @@ def largest(rows: F, z: F) -> float:
     return most
 
 
-@jit
+@inner
 def explain(dof: int, p: F, total: float, whitened: F, gain: F, pick: F, isolable: B, threshold: F) -> tuple[int, int, int, int]:
     """Who explains an alarm; arrays are those of one kind and slot.
 
@@ -112,7 +112,7 @@ def explain(dof: int, p: F, total: float, whitened: F, gain: F, pick: F, isolabl
     return RESOLVED if unique else UNRESOLVED, i, j, best
 
 
-@jit
+@inner
 def resolve(dof: int, whitened: F, gain: F, pick: F, isolable: B, z: F, threshold: F) -> tuple[int, int, int, int]:
     """`explain` for the measurements z (n,)."""
     p = np.empty(dof)
@@ -120,7 +120,7 @@ def resolve(dof: int, whitened: F, gain: F, pick: F, isolable: B, z: F, threshol
     return explain(dof, p, total, whitened, gain, pick, isolable, threshold)
 
 
-@jit
+@inner
 def explain_parity(dof: int, p: F, white: F, isolable: B, threshold: F) -> tuple[int, int, int, int]:
     """`explain` for a parity vector p that a test over many samples has made, scaled to the noise of one; `white` (d, n) is the matrix it is of."""
     gain = np.zeros(white.shape[1])
@@ -136,7 +136,7 @@ def explain_parity(dof: int, p: F, white: F, isolable: B, threshold: F) -> tuple
     return explain(dof, p, total, white, gain, gain, isolable, threshold)
 
 
-@jit
+@inner
 def compare(rows: F, members: U, level: float, dof: int, whitened: F, gain: F, isolable: B, z: F) -> tuple[int, int, int, int]:
     """Who explains an alarm of the direct comparison: every broken equation must have the sensor, or one of the two, in it.
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
-from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn, unresolved_long
-from riins_imu_fusion.glr_kf_state import ACTIVE
+from riins_core.jit import inner, jit
+from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn
+from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
 from riins_imu_fusion.judges import DIRECT, GLT, SVD, compare, explain_parity, largest, quadratic, resolve
 from riins_imu_fusion.noise_watch import gather
 from riins_imu_fusion.samples import check_axes, judge_out, judge_used, note_past, note_sequence, remember, wake_up
@@ -26,7 +26,7 @@ from riins_imu_fusion.state import (
 # isort: on
 
 
-@jit
+@inner
 def find_slot(kind: int, key: U, count: I, wanted: np.uint64, hint: int) -> int:
     """Slot of a set of sensors, -1: not made yet."""
     if hint < count[kind] and key[kind, hint] == wanted:
@@ -37,7 +37,7 @@ def find_slot(kind: int, key: U, count: I, wanted: np.uint64, hint: int) -> int:
     return -1
 
 
-@jit
+@inner
 def without(key: np.uint64, first: int, second: int) -> np.uint64:
     """Set of sensors with two taken out (-1: none)."""
     if first >= 0:
@@ -47,7 +47,7 @@ def without(key: np.uint64, first: int, second: int) -> np.uint64:
     return key
 
 
-@jit
+@inner
 def in_use(kind: int, base: B) -> np.uint64:
     """Sensors that their health machines let be used."""
     key = np.uint64(0)
@@ -57,7 +57,7 @@ def in_use(kind: int, base: B) -> np.uint64:
     return key
 
 
-@jit
+@inner
 def need(st: State, kind: int, what: int, key: np.uint64) -> int:
     """Say what of a set of sensors is missing before the sample can be worked in."""
     st.need[0] = kind
@@ -191,8 +191,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     ):  # fmt: skip
                         code |= EVENT
                     if glr.ints[ACTIVE] == 1:
-                        add_excess(glr, tb.member[kind, place], w[kind, place], output.excess[kind, o])
-                    if unresolved_long(glr, rules.glr[kind]):
+                        add_excess(glr, rules.glr[kind], w[kind, place], output.excess[kind, o])
+                    if glr.ints[LONG] == 1:
                         doubt_last[kind] = t
                         if doubt[kind] == 0:
                             code |= EVENT

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
 from riins_core.imu_array import ImuArray
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class NoiseEstimate(NamedTuple):
     pairs: int
 
 
-@jit
+@inner
 def autocovariance_step(s: Array, ring: Array, sums: Array, count: Array, gain: float, V: Array, z: Array) -> None:
     """One sample z (n,); the rest as in `autocovariance_block`."""
     lags, dof = ring.shape

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.imu_array import ImuArray
-from riins_core.jit import jit
+from riins_core.jit import inner
 from riins_core.settings import setting
 from riins_imu_fusion.noise_estimation import autocovariance_step, solve
 from riins_imu_fusion.state import NoiseState
@@ -34,7 +34,7 @@ class NoiseSettings:
     least_change: float = setting(0.1, "an estimate is used when it differs by this part from what is in use", "", 0.0, 10.0)
 
 
-@jit
+@inner
 def gather(kind: int, valid: np.uint64, z: F, st: NoiseState) -> None:
     """Take in a sample (2, n); another set of sensors than the one worked with breaks the run of samples."""
     if valid != st.key[kind]:

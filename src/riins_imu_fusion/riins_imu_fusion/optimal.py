@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 from riins_core.kalman import update_joseph
 
 from .method import Fused, FusionMethod, Table
@@ -18,7 +18,7 @@ from .wls import weigh
 Array = NDArray[np.float64]
 
 
-@jit
+@inner
 def parity_of(V: Array, z: Array, p: Array) -> None:
     """p = V z."""
     for r in range(V.shape[0]):
@@ -28,7 +28,7 @@ def parity_of(V: Array, z: Array, p: Array) -> None:
         p[r] = s
 
 
-@jit
+@inner
 def optimal_step(d: Array, P: Array, Q: Array, V: Array, RV: Array, z: Array, p: Array, dz: Array, S: Array, e: Array) -> None:
     """One sample z (n,); the rest as in `optimal_block`, and room for (dof,), (dof,), (dof, dof), (dof,)."""
     for i in range(z.shape[0]):

@@ -19,7 +19,7 @@ from riins_imu_fusion.compensation import Compensation
 from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.drifts import Drifts, removed
-from riins_imu_fusion.glr_kf_state import CHANGED
+from riins_imu_fusion.glr_kf_state import CHANGED, LONG
 from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.kernel import fuse_samples
 from riins_imu_fusion.noise_watch import NoiseWatch
@@ -322,6 +322,7 @@ class FusionPipeline:
             recall = self._recaller.recall(st.past, kind, index, t, stuck)  # other bad values never entered
             if recall is not None:
                 self._recalls.append(recall)
+                self._compensation.recalled(kind, st.glr[kind], index)
                 note = f", {recall.text()}"
         self._changed(kind, index, change, note)
 
@@ -335,7 +336,7 @@ class FusionPipeline:
 
     def _step_doubt(self, kind: int, t: int) -> None:
         st = self._state
-        unresolved = int(st.alarm[kind]) == K.UNRESOLVED or self._compensation.doubts(kind, st.glr[kind])
+        unresolved = int(st.alarm[kind]) == K.UNRESOLVED or bool(st.glr[kind].ints[LONG])
         if unresolved and not st.doubt[kind]:
             st.doubt[kind] = 1
             test = self._cache.test(kind, int(st.key[kind]))

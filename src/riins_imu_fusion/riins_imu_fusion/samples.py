@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
 # isort: off
 from riins_imu_fusion.state import (
@@ -30,7 +30,7 @@ def note_sequence(clock: I, counts: I, sequence: int, lost_limit: int) -> None:
     clock[SEQUENCE] = sequence
 
 
-@jit
+@inner
 def check_axes(
     kind: int, k: int, raw: F, valid: U, limit: F, stuck: int, value: F, repeat: I, base: B, z: F, why: I, usable: U
 ) -> np.uint64:  # fmt: skip
@@ -57,7 +57,7 @@ def check_axes(
     return key
 
 
-@jit
+@inner
 def judge_used(kind: int, alarm: int, first: int, second: int, base: B, why: I, left_out: I, verdict: I) -> None:
     """Verdict on the sensors in use."""
     for i in range(base.shape[1]):
@@ -76,7 +76,7 @@ def judge_used(kind: int, alarm: int, first: int, second: int, base: B, why: I, 
             verdict[kind, i] = GOOD
 
 
-@jit
+@inner
 def judge_out(
     kind: int, slot: int, t: int, rules: Rules, judged: B, wake: I, z: F, x: F, reach: F, mean_sum: F, mean_count: I, why: I, verdict: I
 ) -> None:
@@ -100,7 +100,7 @@ def judge_out(
             why[kind, i] = PARITY
 
 
-@jit
+@inner
 def wake_up(kind: int, t: int, wake: I, verdict: I, wakes: B) -> bool:
     """Mark the verdicts that concern a health machine; True: there are some."""
     woken = False
@@ -111,7 +111,7 @@ def wake_up(kind: int, t: int, wake: I, verdict: I, wakes: B) -> bool:
     return woken
 
 
-@jit
+@inner
 def remember(kind: int, k: int, raw: F, value: F, repeat: I) -> None:
     """Keep the values for the stuck test."""
     for i in range(raw.shape[1]):
@@ -122,7 +122,7 @@ def remember(kind: int, k: int, raw: F, value: F, repeat: I) -> None:
             value[kind, i] = raw[k, i]
 
 
-@jit
+@inner
 def note_past(
     t: int, grid: int, period: float, set0: np.uint64, set1: np.uint64, z: F, place: I, end: I, last: I, span: F, used: U, total: F
 ) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner
 from riins_core.settings import setting
 from riins_fdi.parity import ParityTest
 from riins_fdi.run_length import cusum_threshold, glr_threshold, window_lengths
@@ -64,7 +64,7 @@ class SequenceState(NamedTuple):
     lengths: I  # (l,), window lengths
 
 
-@jit
+@inner
 def feed(kind: int, t: int, test: int, white: F, dof: int, z: F, st: SequenceState) -> bool:
     """Feed a sample (n,) of the set st.key; True: alarm, and st.p is the parity vector to be explained.
 
@@ -102,7 +102,7 @@ def feed(kind: int, t: int, test: int, white: F, dof: int, z: F, st: SequenceSta
     return True
 
 
-@jit
+@inner
 def feed_glr(p: F, dof: int, u: F, vec: F, ints: I, sums: F, lengths: I) -> float:
     """Largest (u_i'S_w)^2 / (w + w^2 b_i) over sensors and window lengths."""
     size, count = sums.shape[0], ints[COUNT]
@@ -131,7 +131,7 @@ def feed_glr(p: F, dof: int, u: F, vec: F, ints: I, sums: F, lengths: I) -> floa
     return best
 
 
-@jit
+@inner
 def feed_cusum(p: F, dof: int, u: F, level: F, vec: F, ints: I, sums: F) -> float:
     """Largest of all charts g <- max(0, g + s u_i'p - reference), s = +1, -1; none grows beyond twice the threshold: it must come down again."""
     n, best = u.shape[0], -1.0

@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
 from .method import Fused, FusionMethod, Table
 
 Array = NDArray[np.float64]
 
 
-@jit
+@inner
 def weigh(W: Array, z: Array, drift: Array, R: Array, P: Array, x: Array, covariance: Array) -> None:
     """One sample: x = W (z - drift), covariance = W (diag R + P) W'.
 

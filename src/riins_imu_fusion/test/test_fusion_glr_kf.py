@@ -11,7 +11,6 @@ import pytest
 from riins_core.imu_array import CONFIGURATIONS, ImuArray
 from riins_imu_fusion import glr_kf_state as G
 from riins_imu_fusion.glr_kf import GlrKalman, GlrSettings, alarm_threshold
-from riins_imu_fusion.glr_kf_kernel import dead
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.wls import WeightedLeastSquares
 
@@ -202,9 +201,9 @@ def test_a_sensor_too_noisy_or_too_far_is_dead() -> None:
         z[3000:, 1] = spoil(z[3000:, 1])
         method = GlrKalman(model(), GlrSettings(drift_limit=limit))
         method.process(z[:3000])
-        assert method.open == (1,) and not dead(method.state, method.rules, 1)
+        assert method.open == (1,) and not method.state.whole[G.DEAD].any()
         method.process(z[3000:])
-        assert dead(method.state, method.rules, 1) and not any(dead(method.state, method.rules, i) for i in (0, 2, 3, 4, 5))
+        assert method.state.whole[G.DEAD].tolist() == [0, 1, 0, 0, 0, 0]
 
 
 def test_cost() -> None:
