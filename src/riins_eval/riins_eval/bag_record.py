@@ -286,7 +286,7 @@ def _sensor_use(reader: BagReader) -> SensorUse | None:
 
 
 def _samples(reader: BagReader) -> Samples:
-    received = lost = late = rejected = None
+    received = lost = late = rejected = no_fix = None
     malformed = 0
     last = {}
     for topic in ("/fdi/status", "/nav/subfilters"):
@@ -301,7 +301,9 @@ def _samples(reader: BagReader) -> Samples:
         m = last["/nav/subfilters"]
         late = sum(int(s.late) for s in m.subfilters)
         rejected = malformed + int(m.imu_rejected) + sum(int(s.malformed) for s in m.subfilters)
-    return Samples(received, lost, late, rejected)
+        if all(hasattr(s, "no_fix") for s in m.subfilters):  # older recordings count them as rejected
+            no_fix = sum(int(s.no_fix) for s in m.subfilters)
+    return Samples(received, lost, late, rejected, no_fix)
 
 
 def _drift(reader: BagReader) -> Floats | None:

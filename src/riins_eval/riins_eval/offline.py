@@ -267,7 +267,8 @@ def reporting_pipeline(config: FusionConfig) -> FusionPipeline:
 def samples(counters: Any, report: Any) -> Samples:
     """Counters of a pipeline and a navigator, as the score has them."""
     malformed = counters.rejected_length + counters.rejected_stamp + counters.rejected_no_solution + report.imu_rejected
-    return Samples(counters.received, counters.lost, sum(s.late for s in report.subfilters), malformed + sum(s.malformed for s in report.subfilters))
+    late, wrong, no_fix = (sum(getattr(s, name) for s in report.subfilters) for name in ("late", "malformed", "no_fix"))
+    return Samples(counters.received, counters.lost, late, malformed + wrong, no_fix)
 
 
 def aids_of(name: str, stamp_ns: NDArray[np.int64], block: PositionBlock | VelocityBlock) -> list[Aid]:

@@ -200,13 +200,15 @@ class Samples:
     received : IMU samples received by the fusion
     lost : IMU samples missing in the sequence numbers
     late : aid measurements older than max_delay, dropped
-    rejected : IMU samples and aid measurements that were malformed (length, stamp, not finite, covariance, no fix) and not used
+    rejected : IMU samples and aid measurements that were malformed (length, stamp, not finite, covariance) and not used
+    no_fix : aid measurements that the sensor itself said to be none
     """
 
     received: int | None = None
     lost: int | None = None
     late: int | None = None
     rejected: int | None = None
+    no_fix: int | None = None
 
 
 @dataclasses.dataclass

@@ -37,6 +37,7 @@ def score(record: RunRecord) -> Score:
     result["scored"] = "sensors" if unknown else "navigation"
     result["samples"] = {
         "received": record.samples.received, "lost": record.samples.lost, "late": record.samples.late, "rejected": record.samples.rejected,
+        "no_fix": record.samples.no_fix,
     }  # fmt: skip
     result["realtime_factor"] = _number(record.realtime_factor)
     result["pieces"] = []
@@ -118,7 +119,7 @@ def table(result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if result["twin_deviation_max_m"] is not None:
         rows.append(("largest distance from the fault-free twin", _text(result["twin_deviation_max_m"], 2), "m"))
     rows.append(("false isolations", str(result["false_isolations"]), ""))
-    rows += [(f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected") if samples[name] is not None]
+    rows += [(f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected", "no_fix") if samples[name] is not None]
     if result["realtime_factor"] is not None:
         rows.append(("speed", _text(result["realtime_factor"], 0 if result["realtime_factor"] >= 10 else 1), "x real time"))
     return rows

@@ -197,7 +197,7 @@ def test_recorded_gnss_is_used_as_it_is(tmp_path):
         assert np.isin(np.round(fix["latitude"][good], 12), np.round(np.degrees(truth[:, 1]), 12)).all()
         assert fix["position_covariance"][0][[0, 4, 8]].tolist() == [1.0, 1.0, 4.0]
         assert yaml.safe_load(reader.configuration())["scenario"]["gps"]["sigma_m"] == [1.0, 1.0, 2.0]
-    assert offline.navigate(tmp_path / "bag").score["samples"]["rejected"] == 3
+    assert offline.navigate(tmp_path / "bag").score["samples"]["no_fix"] == 3
 
 
 def test_a_recording_without_a_reference_has_no_truth_and_says_so(tmp_path):

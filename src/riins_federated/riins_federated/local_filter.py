@@ -45,7 +45,7 @@ class LocalFilter:
 
     Attributes
     ----------
-    late, malformed : counts of what never reached the test; arrival decides them, so they are not rolled back
+    late, malformed, no_fix : counts of what never reached the test; arrival decides them, so they are not rolled back
     """
 
     def __init__(self, name: str, model: PositionModel | VelocityModel, isolation: Isolation, timeout_s: float) -> None:
@@ -54,6 +54,7 @@ class LocalFilter:
         self.timeout_ns = round(timeout_s * 1e9)
         self.late = 0
         self.malformed = 0
+        self.no_fix = 0
         self._false_alarm_probability = isolation.false_alarm_probability
         self._health = HealthMachine(
             HealthConfig(
@@ -165,6 +166,7 @@ class LocalFilter:
             last.rejected,
             self.late,
             self.malformed,
+            self.no_fix,
         )
 
     def _held(self) -> Reason:

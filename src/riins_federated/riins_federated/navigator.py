@@ -123,8 +123,11 @@ class Navigator:
             return Reason.LATE
         if reason is Reason.NONE and (len(self._queue) >= MAX_WAITING or not self._queue.add(aid.stamp_ns, self._rank[aid.name], aid)):
             reason = Reason.DUPLICATE
-        if reason is not Reason.NONE:
+        if reason is Reason.NO_FIX:
+            local.no_fix += 1
+        elif reason is not Reason.NONE:
             local.malformed += 1
+        if reason is not Reason.NONE:
             return reason
         self._take_in(aid.stamp_ns)
         return Reason.NONE

@@ -76,6 +76,7 @@ def diagnosis(report: FederatedReport, refused_initial_states: int) -> list[tupl
             "rejected": sub.rejected,
             "late": sub.late,
             "malformed": sub.malformed,
+            "no fix": sub.no_fix,
         }
         statuses.append((f"navigator: {sub.name}", "ok" if sub.state == HEALTHY else "warn", STATE_NAME[sub.state], values))
     return statuses

@@ -260,6 +260,7 @@ class SubfilterReport:
     rejected: int
     late: int
     malformed: int
+    no_fix: int
 
 
 @dataclass(frozen=True)

@@ -428,6 +428,7 @@ def _subfilter(sub: Any) -> Fields:
         "late": int(sub.late),
         "malformed": int(sub.malformed),
         "no_fix": int(sub.no_fix),
+        "no_fix": int(sub.no_fix),
     }
 
 
