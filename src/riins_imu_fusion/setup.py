@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         # not entry points: those import for 30 ms before a signal can be taken
-        (f"lib/{NAME}", ["scripts/imu_fusion"]),
+        (f"lib/{NAME}", ["scripts/imu_fusion", "scripts/imu_array"]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,

@@ -134,14 +134,6 @@ class ArrayConfig:
             "accel_bias_sigma": self.accel_bias_sigma,
         }
 
-    def capability(self) -> str:
-        """What this many IMUs can do about a fault, in words."""
-        if self.n == 1:
-            return "one IMU: no redundancy, a fault is not seen"
-        if self.n == 2:
-            return "two IMUs: a fault is detected, not isolated"
-        return f"{self.n} IMUs: a fault is isolated, also one of a whole IMU"
-
 
 def noise_gains(ratio: float) -> tuple[float, float]:
     """What averaging the linear interpolation does to white noise.

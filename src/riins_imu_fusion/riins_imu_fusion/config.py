@@ -63,6 +63,7 @@ class FusionConfig:
     adapt_noise: bool = setting(False, "thresholds and weights follow the noise as estimated while running; likewise")
     configuration: str = setting("dodecahedron", "geometry of the sensing axes", choices=tuple(imu_array.CONFIGURATIONS))
     geometry: tuple[float, ...] = setting((), "sensing axes as n unit vectors, row by row, FLU imu_link; empty: the configuration's", "", -1.0, 1.0)
+    groups: tuple[int, ...] = setting((), "unit of each sensor, from 0; faults of several in one unit are one of all of it; empty: none", "", 0, 63)
     gyro_sigma: tuple[float, ...] = setting((8.2275e-6,), "white noise of one gyro sample: one value, or one for each", "rad/s", 1e-15, 100.0)
     accel_sigma: tuple[float, ...] = setting((1.3869e-3,), "white noise of one accelerometer sample, likewise", "m/s^2", 1e-12, 1000.0)
     gyro_bias_sigma: float = setting(0.0, "ordinary turn-on bias of a gyro, which must not alarm", "rad/s", 0.0, 10.0)
@@ -89,6 +90,10 @@ class FusionConfig:
         if self.stuck_count == 1:
             raise SettingError('"stuck_count" must be 0 (never) or at least 2')
         n = self.array().n
+        if len(self.groups) not in (0, n):
+            raise SettingError(f'"groups" must have 0 or {n} elements, not {len(self.groups)}')
+        if self.groups and max(self.groups) >= n:
+            raise SettingError(f'"groups" must be numbers below {n}')
         for kind in KINDS:
             for name, given in ((f"{kind}_sigma", self), (f"drift.{kind}_sigma", self.drift), (f"drift.{kind}_walk", self.drift)):
                 length = len(getattr(given, name.rpartition(".")[2]))

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from riins_core.imu_array import ImuArray
 from riins_core.jit import inner
+from riins_fdi.groups import suspect_group
 from riins_fdi.methods import DirectComparison, OptimalParityVector
 from riins_fdi.parity import parity_relations, parity_vector, suspect, suspect_pair
-from riins_imu_fusion.state import RESOLVED, UNRESOLVED, B, F, U
+from riins_imu_fusion.state import RESOLVED, UNRESOLVED, B, F, I, U
 
 GLT, OPTIMAL, DIRECT, SVD = 0, 1, 2, 3
 PARITY_TESTS = {"glt": GLT, "optimal_parity_vector": OPTIMAL, "direct_comparison": DIRECT, "svd": SVD}
@@ -118,6 +119,15 @@ def resolve(dof: int, whitened: F, gain: F, pick: F, isolable: B, z: F, threshol
     p = np.empty(dof)
     total = parity_vector(whitened, dof, z, p)
     return explain(dof, p, total, whitened, gain, pick, isolable, threshold)
+
+
+@inner
+def blame_unit(dof: int, whitened: F, z: F, group: I, threshold: F) -> int:
+    """Unit that alone explains the measurements z (n,), when no single sensor does; -1: none, or more than one."""
+    p = np.empty(dof)
+    parity_vector(whitened, dof, z, p)
+    best, count = suspect_group(whitened, dof, p, group, threshold)
+    return best if count == 1 else -1
 
 
 @inner

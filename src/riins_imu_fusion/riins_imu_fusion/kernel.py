@@ -12,7 +12,7 @@ import numpy as np
 from riins_core.jit import inner, jit
 from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn
 from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
-from riins_imu_fusion.judges import DIRECT, GLT, SVD, compare, explain_parity, largest, quadratic, resolve
+from riins_imu_fusion.judges import DIRECT, GLT, SVD, blame_unit, compare, explain_parity, largest, quadratic, resolve
 from riins_imu_fusion.noise_watch import gather
 from riins_imu_fusion.samples import check_axes, judge_out, judge_used, note_past, note_sequence, remember, wake_up
 from riins_imu_fusion.sequences import NONE as NO_SEQUENCE
@@ -21,7 +21,7 @@ from riins_imu_fusion.sequences import feed
 # isort: off
 from riins_imu_fusion.state import (
     COMMAND, DONE, EVENT, FORCE_STATUS, FUSED, HAVE, LAST, NEED_TABLE, NEXT_COMMAND, QUIET, RECEIVED, REJECTED_NO_SOLUTION, REJECTED_STAMP,
-    RESTART, SEQUENCE, SEQUENCES, SOLUTION, TABLE, TEST, TICK, UNRESOLVED, B, Block, I, Output, Rules, State, Tables, U,
+    RESOLVED, RESTART, SEQUENCE, SEQUENCES, SOLUTION, TABLE, TEST, TICK, UNRESOLVED, B, Block, I, Output, Rules, State, Tables, U,
 )  # fmt: skip
 # isort: on
 
@@ -44,6 +44,16 @@ def without(key: np.uint64, first: int, second: int) -> np.uint64:
         key &= ~(np.uint64(1) << np.uint64(first))
     if second >= 0:
         key &= ~(np.uint64(1) << np.uint64(second))
+    return key
+
+
+@inner
+def unit(group: I, number: int) -> np.uint64:
+    """Sensors of a unit."""
+    key = np.uint64(0)
+    for i in range(group.shape[0]):
+        if group[i] == number:
+            key |= np.uint64(1) << np.uint64(i)
     return key
 
 
@@ -112,8 +122,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             used_slot[kind] = place
             alarm[kind] = QUIET
             pointed[kind] = -1
-            leave[kind, 0] = -1
-            leave[kind, 1] = -1
+            leave[kind] = 0
             statistic[kind] = np.nan
             dof = dofs[kind, place]
             solved &= dof >= 0
@@ -152,17 +161,21 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 alarm[kind], i, j, pointed[kind] = explain_parity(
                     dof, st.sequence.p[kind], tb.V[kind, place], tb.isolable[kind, place], rules.threshold
                 )
-            if i < 0:
-                continue
             rest = without(key[kind], i, j)
+            if rules.grouped and loud and (j >= 0 or alarm[kind] == UNRESOLVED):
+                number = blame_unit(dof, tb.whitened[kind, place], tested[kind], rules.group, rules.threshold)
+                if number >= 0:
+                    alarm[kind] = RESOLVED
+                    rest = key[kind] & ~unit(rules.group, number)
+            if rest == key[kind]:
+                continue
             place = find_slot(kind, tb.key, tb.filled, rest, 0)
             if place < 0:
                 return k, o, need(st, kind, TABLE, rest)
             if dofs[kind, place] < 0:  # they are needed for a solution: keep all, in doubt
                 alarm[kind] = UNRESOLVED
                 continue
-            leave[kind, 0] = i
-            leave[kind, 1] = j
+            leave[kind] = key[kind] & ~rest
             used[kind] = rest
             used_slot[kind] = place
 
@@ -205,7 +218,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 output.used[kind, o] = used[kind]
                 output.statistic[kind, o] = statistic[kind]
                 if alarm[kind] != QUIET or used[kind] != calm[kind]:  # else all in use are healthy, nobody is out on trial, and all is well
-                    judge_used(kind, alarm[kind], leave[kind, 0], leave[kind, 1], base, why, st.left_out, verdict)
+                    judge_used(kind, alarm[kind], leave, base, why, st.left_out, verdict)
                     if alarm[kind] != UNRESOLVED:
                         judge_out(kind, place, t, rules, st.judged, wake, z, x, tb.reach, st.mean_sum, st.mean_count, why, verdict)
                     if wake_up(kind, t, wake, verdict, wakes):

@@ -58,8 +58,8 @@ def check_axes(
 
 
 @inner
-def judge_used(kind: int, alarm: int, first: int, second: int, base: B, why: I, left_out: I, verdict: I) -> None:
-    """Verdict on the sensors in use."""
+def judge_used(kind: int, alarm: int, leave: U, base: B, why: I, left_out: I, verdict: I) -> None:
+    """Verdict on the sensors in use; leave[kind]: those left out by the parity test."""
     for i in range(base.shape[1]):
         verdict[kind, i] = NONE
         if not base[kind, i]:
@@ -67,7 +67,7 @@ def judge_used(kind: int, alarm: int, first: int, second: int, base: B, why: I, 
         if why[kind, i] != 0:
             verdict[kind, i] = BAD
             left_out[kind, i, why[kind, i]] += 1
-        elif i == first or i == second:
+        elif (leave[kind] >> np.uint64(i)) & np.uint64(1):
             left_out[kind, i, PARITY] += 1
             if alarm == RESOLVED:
                 verdict[kind, i] = BAD

@@ -80,6 +80,8 @@ class Rules(NamedTuple):
 
     H: F  # (n, 3)
     limit: F  # (2,)
+    group: I  # (n,), unit of each sensor; -1: none
+    grouped: bool  # there are units
     fusion: int  # number of the fusion method, corrections.FUSION
     test: int  # of the parity test, judges.PARITY_TESTS
     sequential: int  # of the test over many samples, sequences.SEQUENTIAL_TESTS
@@ -175,7 +177,7 @@ class State(NamedTuple):
     used_slot: I
     statistic: F  # (2,)
     alarm: I  # (2,)
-    leave: I  # (2, 2), sensors left out by the parity test, -1: none
+    leave: U  # (2,), sensors left out by the parity test
     suspect: I  # (2,)
     doubt: I  # (2,), 1: doubtful
     doubt_last: I  # (2,), stamp of the last unresolved alarm
@@ -223,7 +225,7 @@ def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState], drift: Dri
         used_slot=whole(2),
         statistic=np.full(2, np.nan),
         alarm=whole(2),
-        leave=np.full((2, 2), -1, np.int64),
+        leave=np.zeros(2, np.uint64),
         suspect=np.full(2, -1, np.int64),
         doubt=whole(2),
         doubt_last=whole(2),

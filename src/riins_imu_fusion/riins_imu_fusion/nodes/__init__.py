@@ -1,0 +1,1 @@
+"""Nodes beside `imu_fusion`, one file each."""
