@@ -245,13 +245,14 @@ def import_file(
 
 @app.command()
 def reproduce(
-    name: Annotated[str, typer.Argument(help="study: thesis", metavar="NAME")],
-    quick: Annotated[bool, typer.Option("--quick", help="five seeds and fewer epochs, for a first look")] = False,
-    seeds: Annotated[int | None, typer.Option(help="seeds of everything random (default: 50, with --quick 5)", min=1)] = None,
+    name: Annotated[str, typer.Argument(help="study: thesis, or real (faults put into recordings of real sensors)", metavar="NAME")],
+    quick: Annotated[bool, typer.Option("--quick", help="a tenth of the seeds and fewer epochs, for a first look")] = False,
+    seeds: Annotated[int | None, typer.Option(help="seeds of everything random, or cases (default: thesis 50, real 200)", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="write the rows to this file, as documented in docs/json.md", metavar="FILE", callback=writable_file)
     ] = None,
+    data: Annotated[Path | None, typer.Option(help="directory of recordings (default: $RIINS_DATA, else ../shared/data)", metavar="DIR")] = None,
 ) -> int:
     """Run the experiments of a paper anew and write one page: its numbers beside ours, with spread and figures.
 
@@ -261,7 +262,10 @@ def reproduce(
 
     directory = out or Path("out") / f"reproduce_{name}"
     with _Progress(f"reproduce {name}", speed=False) as progress:
-        rows = study.reproduce(name, seeds=seeds, quick=quick, out=directory, progress=progress)
+        rows = study.reproduce(name, seeds=seeds, quick=quick, out=directory, progress=progress, data=data)
+    for row in rows:
+        if row.n == 0 and row.remark:
+            _console().print(row.remark, markup=False, highlight=False, soft_wrap=True)
     missed = study.missed(rows)
     for row in missed:
         _console().print(

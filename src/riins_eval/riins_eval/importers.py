@@ -215,7 +215,8 @@ def _write_imu(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule:
 def _write_sensors(writer: RunWriter, placed: _Placed, schedule: FaultSchedule) -> None:
     """The sensors of several IMUs as they are; sample 0 is the origin and is not written."""
     assert placed.piece.sensors is not None
-    gyro, accel, present = (a[placed.used][1:].copy() for a in placed.piece.sensors)
+    gyro, accel = (a[placed.used][1:].copy() for a in placed.piece.sensors[:2])
+    present = placed.piece.sensors[2][placed.used][1:]
     stamps, number = placed.stamps(placed.piece.t[placed.used])[1:], placed.motion.number[1:]
     since = stamps - placed.start_ns
     clean = {"gyro": gyro.copy(), "accel": accel.copy()}

@@ -123,8 +123,8 @@ def load(path: str | Path, settings: RecordingSettings | None = None) -> NpzReco
     kind = str(arrays["imu_values"]) if "imu_values" in arrays else ""
     if kind not in ("", "mean", "instantaneous"):
         raise ImportFailure(f'{path.name}: imu_values must be "mean" or "instantaneous", not "{kind}"')
-    sigmas = (_vector(arrays, name, size, path) for name, size in (("dvl_std", 3), ("dvl_lever_frd", 3), ("gnss_std", 6)))
-    return NpzRecording(path, rate_hz, pieces, *sigmas, kind, stacked, tuple(dict.fromkeys(notes)))
+    log_sigma, log_lever, gnss_sigma = (_vector(arrays, name, size, path) for name, size in (("dvl_std", 3), ("dvl_lever_frd", 3), ("gnss_std", 6)))
+    return NpzRecording(path, rate_hz, pieces, log_sigma, log_lever, gnss_sigma, kind, stacked, tuple(dict.fromkeys(notes)))
 
 
 def _imu(arrays: Mapping[str, NDArray[np.generic]], path: Path, i: int, count: int) -> Imu:
@@ -163,7 +163,8 @@ def _one(
         raise ImportFailure(f"{path.name}: the IMU has an interval of {interval * 1e3:.3f} ms; a whole number of samples a second is needed")
     numbers = _numbers(arrays, path, "imu_seg", imu.t)
     rate, force = imu.gyro @ imu.turn.T, imu.accel @ imu.turn.T
-    pieces = [_piece(arrays, path, n, *(a[numbers == n] for a in (imu.t, rate, force)), notes) for n in _in_order(numbers)]
+    rows = {n: numbers == n for n in _in_order(numbers)}
+    pieces = [_piece(arrays, path, n, imu.t[mine], rate[mine], force[mine], notes) for n, mine in rows.items()]
     return rate_hz, pieces, None
 
 

@@ -30,11 +30,18 @@ td.mark { text-align: center; font-weight: 700 } .yes { color: var(--good) } tr.
 img { display: block; width: 100%; height: auto; margin-top: 8px } h2.chapter { margin: 28px 0 10px; font-size: 22px }
 """
 _FIGURES = {"axes.titlesize": 10, "legend.frameon": True, "legend.framealpha": 0.85, "legend.edgecolor": "white"}
-_READING = (
-    "Target: number of a demand on this implementation, where there is one. Thesis: the value printed there. Ours: mean over the seeds, or the one "
-    "value, with the 5th and 95th percentile; n: how many. ✓ reaches what is demanded, ✗ does not, · nothing is demanded. The sentence under a name "
-    "says what the reader must know: where a printed claim does not hold, and why."
-)
+_VERDICT = "✓ reaches what is demanded, ✗ does not, · nothing is demanded."
+_READING = {
+    "thesis": (
+        "Target: number of a demand on this implementation, where there is one. Thesis: the value printed there. Ours: mean over the seeds, or the "
+        f"one value, with the 5th and 95th percentile; n: how many. {_VERDICT} The sentence under a name says what the reader must know: where a "
+        "printed claim does not hold, and why."
+    ),
+    "expected": (
+        "Expected: what is known of the recording, or asked of the method. Ours: the share of the cases with its 5 and 95 % bounds (Wilson), or the "
+        f"median with the 5th and 95th percentile, or the mean of gyros and accelerometers with both; n: how many. {_VERDICT}"
+    ),
+}
 _FOOTER = "Written by RIINS; this page needs no network. The same rows are in rows.json, the figures beside it as PNG."
 _MARKS = {True: "<span class=yes title='reaches what is demanded'>✓</span>", False: "<span class=no title='does not reach it'>✗</span>",
           None: "<span title='nothing is demanded'>·</span>"}  # fmt: skip
@@ -74,7 +81,7 @@ def page(name: str, reproduction: Reproduction, parts: Sequence[Part], seeds: in
         (f"{len(aimed) - len(bad)} of {len(aimed)}", "rows with a target that reach it"),
         (f"{whole} of {len(targets)}", "targets reached in every row"),
         (str(len(rows)), "rows in all"),
-        (str(seeds), "seeds" + (", quick" if quick else "")),
+        (str(seeds), reproduction.unit + (", quick" if quick else "")),
     ]
     word, kind = ("every target reached", "passed") if not bad else (f"{len(bad)} row{'s' * (len(bad) > 1)} missed", "failed")
     parts_html = [
@@ -84,14 +91,14 @@ def page(name: str, reproduction: Reproduction, parts: Sequence[Part], seeds: in
         f"<p>Made by <code>riins reproduce {_text(name)} --seeds {seeds}{' --quick' * quick}</code>.</p></div>",
         f"<div class='badge {kind}'>{word}</div></div>",
         "<div class=cards>" + "".join(f"<div class=card><b>{_text(v)}</b><span>{_text(w)}</span></div>" for v, w in cards) + "</div>",
-        f"<section><h2>How to read it</h2><p>{_text(_READING)}</p></section>",
+        f"<section><h2>How to read it</h2><p>{_text(_READING[reproduction.beside])}</p></section>",
     ]
     if bad:
         parts_html.append(
             "<section class=failures><h2>What is missed</h2><ul>" + "".join(f"<li>{_text(_sentence(r))}</li>" for r in bad) + "</ul></section>"
         )
     parts_html.append("<nav>" + "".join(f"<a href=#chapter-{i}>{_text(p.chapter.title)}</a>" for i, p in enumerate(parts)) + "</nav>")
-    parts_html += [_table(i, part) for i, part in enumerate(parts)]
+    parts_html += [_table(i, part, reproduction.beside) for i, part in enumerate(parts)]
     for part in parts:
         if part.figures:
             parts_html.append(f"<h2 class=chapter>{_text(part.chapter.title)}: figures</h2>")
@@ -116,8 +123,8 @@ def number(value: str | float | None) -> str:
     return f"{value:.1e}"
 
 
-def _table(index: int, part: Part) -> str:
-    columns = ("target", "", "what", "thesis", "ours", "5 %", "95 %", "n")
+def _table(index: int, part: Part, beside: str) -> str:
+    columns = ("target", "", "what", beside, "ours", "5 %", "95 %", "n")
     head = "".join(f"<th{' class=number' if c in columns[3:] else ''}>{c}</th>" for c in columns)
     lines = "".join(_line(r) for r in part.rows)
     title = _text(part.chapter.title)

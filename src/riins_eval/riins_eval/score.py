@@ -119,7 +119,9 @@ def table(result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if result["twin_deviation_max_m"] is not None:
         rows.append(("largest distance from the fault-free twin", _text(result["twin_deviation_max_m"], 2), "m"))
     rows.append(("false isolations", str(result["false_isolations"]), ""))
-    rows += [(f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected", "no_fix") if samples[name] is not None]
+    rows += [
+        (f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected", "no_fix") if samples[name] is not None
+    ]
     if result["realtime_factor"] is not None:
         rows.append(("speed", _text(result["realtime_factor"], 0 if result["realtime_factor"] >= 10 else 1), "x real time"))
     return rows

@@ -112,8 +112,9 @@ def to_one_clock(pieces: Sequence[Sequence[Imu]], settings: RecordingSettings) -
     rate = settings.rate_hz or (_divisor(round(own_rate), SAMPLES_A_CYCLE * cut) if cut else round(own_rate))
     delay = float(np.sqrt(2.0) / (2.0 * np.pi * cut)) if cut else 0.0
     made = [_stack(piece, offsets, cut, delay, rate) for piece in pieces]
-    sigma = [noise([part[1 + which] for part in made], axes, round(NOISE_WINDOW_S * rate)) for which in range(2)]
-    return Stacked(rate, axes, made, offsets, cut, delay, sigma[0], sigma[1])
+    window = round(NOISE_WINDOW_S * rate)
+    sigma = noise([gyro for _, gyro, _, _ in made], axes, window), noise([accel for _, _, accel, _ in made], axes, window)
+    return Stacked(rate, axes, made, offsets, cut, delay, *sigma)
 
 
 def lowpass(values: Floats, cut_hz: float, rate_hz: float) -> Floats:
@@ -251,7 +252,9 @@ def _stack(imus: Sequence[Imu], offsets: Floats, cut: float, delay: float, rate:
     if end - begin < 2.0 / rate:
         raise ValueError("the IMUs have no time in common")
     clock = begin + np.arange(int((end - begin) * rate)) / rate
-    gyro, accel, valid = [], [], []
+    gyro: list[Floats] = []
+    accel: list[Floats] = []
+    valid: list[Bools] = []
     for imu, offset in zip(imus, offsets, strict=True):
         interval = float(np.median(np.diff(imu.t)))
         for values, into in ((imu.gyro, gyro), (imu.accel, accel)):

@@ -6,8 +6,6 @@ Does not live here: the refusal (npz_recording.py), any conversion: who made the
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,19 +57,21 @@ def rate_scale(t: Floats, rate: Floats, reference: Floats) -> float | None:
     Between two epochs of the reference the body turns by log(C_1' C_2) + w_in dt; the gyros' sum over the same time, their mean bias taken off
     where the turns are seen without it, is compared by least squares.
     """
-    rows = reference[np.isfinite(reference).all(axis=1)] if len(reference) else reference
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate[1:] * np.diff(t)[:, None], axis=0)])
-    told, felt, spans = [], [], []
-    for a, b in itertools.pairwise(rows):
-        if 0.0 < b[0] - a[0] <= LONGEST_STEP_S and a[0] >= t[0] and b[0] <= t[-1]:
-            c_a, c_b = dcm_from_euler(*a[7:10]), dcm_from_euler(*b[7:10])
-            w_in = earth_rate_n(a[1]) + transport_rate_n(a[1], a[3], a[4:7])
-            told.append(log_so3(c_a.T @ c_b) + (b[0] - a[0]) * (c_a.T @ w_in))
-            felt.append([np.interp(b[0], t, c) - np.interp(a[0], t, c) for c in total.T])
-            spans.append(b[0] - a[0])
-    if len(told) < LEAST_STEPS:
+    rows = reference[np.isfinite(reference).all(axis=1)]
+    if len(rows) < 2:
         return None
-    x, y = np.array(told), np.array(felt)
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate[1:] * np.diff(t)[:, None], axis=0)])
+    first, second = rows[:-1], rows[1:]
+    span = second[:, 0] - first[:, 0]
+    good = (span > 0.0) & (span <= LONGEST_STEP_S) & (first[:, 0] >= t[0]) & (second[:, 0] <= t[-1])
+    first, second, span = first[good], second[good], span[good]
+    if len(span) < LEAST_STEPS:
+        return None
+    c_a, c_b = (dcm_from_euler(*end[:, 7:10].T) for end in (first, second))
+    w_in = earth_rate_n(first[:, 1]) + transport_rate_n(first[:, 1], first[:, 3], first[:, 4:7])
+    back = np.swapaxes(c_a, 1, 2)
+    x = log_so3(back @ c_b) + span[:, None] * np.einsum("kij,kj->ki", back, w_in)
+    y = np.column_stack([np.interp(second[:, 0], t, c) - np.interp(first[:, 0], t, c) for c in total.T])
     # without the mean a bias does no harm; with it a still gyro of quality shows Earth rate, and a bias is along it by chance once in 200
     for mean, least in ((1.0, LEAST_CORRELATION), (0.0, 0.99)):
         u, v = x - mean * x.mean(axis=0), y - mean * y.mean(axis=0)
