@@ -84,8 +84,8 @@ STUDIES: dict[str, Reproduction] = {
     "real": Reproduction(
         "Detection on real sensors",
         "Four small IMUs on a drone, whose twelve gyros and twelve accelerometers disagree, and a fibre-optic IMU at sea projected on six axes. "
-        "Every method finds what is wrong with them, and the same faults put into the recordings, on one sensor and on two. All are told a noise, one "
-        "number for each kind of sensor, with which they alarm equally often on the recording without these faults: the noise of real sensors is "
+        "Every method finds what is wrong with them, and the same faults put into the recordings, on one sensor and on two. All are told a noise, "
+        "one number for each kind of sensor, with which they alarm equally often on the recording without these faults: the noise of real sensors is "
         "coloured and grows with the motion, so that no threshold from chi-square holds.",
         (
             Chapter("riins_eval.studies.real_sensors", "The drone: twelve real sensors of each kind", 1.0, True),
