@@ -7,6 +7,7 @@ Does not live here: the filter (glr_kf*.py), the samples (kernel.py), what is an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.glr_kf import make_rules, make_state
 from riins_imu_fusion.glr_kf_answer import answer, forgive
 from riins_imu_fusion.glr_kf_resolve import resolve, take_in
-from riins_imu_fusion.glr_kf_state import CALL, CHANGED, DEAD, NOISE, OPEN, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.glr_kf_state import BASED, CALL, CHANGED, DEAD, NOISE, OPEN, OTHER_SET, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.known_bias import Calibration, KnownBias
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.state import Tables
 from riins_imu_fusion.types import Reason
@@ -34,6 +36,7 @@ class Compensation:
     Attributes
     ----------
     rules : of gyros and accelerometers
+    known : biases of gyros and accelerometers
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -41,10 +44,23 @@ class Compensation:
         bias = (config.gyro_bias_sigma, config.accel_bias_sigma)
         self._settings = config.glr
         self._models = [TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz) for k in range(2)]
-        self.rules: tuple[GlrRules, GlrRules] = (make_rules(self._models[0], config.glr), make_rules(self._models[1], config.glr))
+        self.change_noise(sigma)
+        self.known = [KnownBias(rules) for rules in self.rules]
+
+    def change_noise(self, sigma: NDArray[np.float64]) -> None:
+        """Rules for another noise (2, n) of the samples; what the filters know goes on after `go_on`."""
+        models = [replace(model, sigma=sigma[k]) for k, model in enumerate(self._models)]
+        self.rules: tuple[GlrRules, GlrRules] = (make_rules(models[0], self._settings), make_rules(models[1], self._settings))
+
+    def go_on(self, states: tuple[GlrState, GlrState]) -> None:
+        """Work on with what is known and the parity matrices of the noise that holds now."""
+        for state in states:
+            state.ints[BASED] = 0
 
     def fresh(self) -> tuple[GlrState, GlrState]:
-        """Memory before the first sample."""
+        """Memory before the first sample; what was known of the sensors is forgotten."""
+        for known in self.known:
+            known.forget()
         return make_state(self._models[0], self._settings), make_state(self._models[1], self._settings)
 
     def warm_up(self) -> None:
@@ -57,8 +73,16 @@ class Compensation:
     def answer(self, kind: int, glr: GlrState, tables: Tables, slot: int) -> None:
         """Do what the filter asks for after a sample of the set of sensors in `slot`."""
         if glr.ints[CALL]:
-            V = tables.V[kind, slot, : tables.dof[kind, slot]]
-            answer(glr, self.rules[kind], V, tables.member[kind, slot], tables.W[kind, slot])
+            V, member, known = tables.V[kind, slot, : tables.dof[kind, slot]], tables.member[kind, slot], self.known[kind]
+            if glr.ints[CALL] == OTHER_SET:
+                for index in np.flatnonzero((glr.vec[USED] > 0.0) & (member == 0.0)).tolist():
+                    known.leave(glr, index)
+            answer(glr, self.rules[kind], V, member, tables.W[kind, slot], known.returning())
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """A calibration holds from now on."""
+        for kind, known in enumerate(self.known):
+            known.fused = calibration.bias[kind], calibration.covariance[kind]
 
     def findings(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
         """Step the health of the sensors the filter has opened or closed after a sample: (sensor, change, what to say of it)."""

@@ -54,6 +54,7 @@ class NoiseWatch:
 
     Attributes
     ----------
+    stated : as given
     estimate : (2, n), standard deviations of the last window in which each could be estimated; NaN before
     sigma : (2, n), noise to be used when the estimate is wanted
 
@@ -64,14 +65,14 @@ class NoiseWatch:
     """
 
     def __init__(self, array: ImuArray, settings: NoiseSettings, stated: F) -> None:
-        self._array, self._settings, self._stated = array, settings, stated
+        self._array, self._settings, self.stated = array, settings, stated
         self.window_ns = round(settings.window_s * 1e9)
         self.reset()
 
     def reset(self) -> None:
         """Forget all estimates."""
-        self.estimate = np.full(self._stated.shape, np.nan)
-        self.sigma = self._stated
+        self.estimate = np.full(self.stated.shape, np.nan)
+        self.sigma = self.stated
 
     def fresh(self) -> NoiseState:
         """Memory before the first sample, for all sensors."""
@@ -117,11 +118,11 @@ class NoiseWatch:
 
     def loud(self, kind: int) -> list[tuple[int, float]]:
         """Sensors whose noise is far above what was stated, and how many times."""
-        ratio = self.estimate[kind] / self._stated[kind]
+        ratio = self.estimate[kind] / self.stated[kind]
         return [(int(i), float(ratio[i])) for i in np.flatnonzero(ratio > LOUD)]
 
     def _take_over(self, kind: int) -> bool:
-        stated, most = self._stated[kind], self._settings.most
+        stated, most = self.stated[kind], self._settings.most
         wanted = np.clip(self.estimate[kind], stated / most, stated * most)
         apart = np.abs(wanted / self.sigma[kind] - 1.0) > self._settings.least_change
         if not np.any(apart):

@@ -6,41 +6,29 @@ Does not live here: the inner loop (kernel.py), tables (tables.py), ROS (node.py
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, Change, HealthMachine, HealthState
-from riins_fdi.innovation import nis_threshold
-from riins_fdi.parity import Capability, glt_threshold
+from riins_fdi.parity import Capability
 from riins_imu_fusion import state as K
-from riins_imu_fusion.compensation import Compensation
 from riins_imu_fusion.config import KINDS, FusionConfig
-from riins_imu_fusion.corrections import FUSION
-from riins_imu_fusion.drifts import Drifts, removed
+from riins_imu_fusion.drifts import removed
 from riins_imu_fusion.glr_kf_state import CHANGED, LONG
-from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.kernel import fuse_samples
-from riins_imu_fusion.noise_watch import NoiseWatch
 from riins_imu_fusion.recall import Recaller
+from riins_imu_fusion.running import Methods
 from riins_imu_fusion.samples import note_sequence
 from riins_imu_fusion.selection import Commands, Selection, UseSensor, refusal
-from riins_imu_fusion.sequences import SEQUENTIAL_TESTS, Sequences, forget
-from riins_imu_fusion.status import Health, health_of, triad_status
-from riins_imu_fusion.tables import TableCache
+from riins_imu_fusion.sequences import forget
+from riins_imu_fusion.status import Health, fused_block, health_of, triad_status
 from riins_imu_fusion.types import REASON_WORDS, CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
 
 Array = NDArray[np.float64]
 
-RECORD_S = 0.1
-"""Length of a record of the past: how finely an onset is known."""
-RECORDS_SPARE = 4
-"""Records kept for each one in the window: changes of the sensors used end records early."""
-
 
 class FusionPipeline:
-    """Weighted least squares over the healthy sensors, with GLT fault detection and one health machine for each sensor.
+    """Fusion of the healthy sensors by the method selected, tests that detect faults, and one health machine for each sensor.
 
     Parameters
     ----------
@@ -59,41 +47,10 @@ class FusionPipeline:
         self.config = config
         self.array = config.array()
         self.n = n = self.array.n
-        pfa = config.pfa()
-        self._selection = Selection(config.method, config.parity_test, config.sequential_test, config.adapt_noise)
-        self._cache = TableCache(self.array, config.sigma(), config.total_sigma(), pfa, PARITY_TESTS[config.parity_test])
         self._statuses_wanted = statuses
-        self._compensation = Compensation(config)
-        self._drifts = Drifts(config)
-        self._sequences = Sequences(config.sequence, n, config.rate_hz, 2.0 / pfa)
-        self._watch = NoiseWatch(self.array, config.noise, config.sigma())
-        max_delay = round(config.max_delay_s * 1e9)
-        record_s = max(RECORD_S, 1.0 / config.rate_hz)
-        self._records = RECORDS_SPARE * math.ceil(config.recall_window_s / record_s) + 1
-        self._rules = K.Rules(
-            H=np.ascontiguousarray(self.array.H),
-            limit=config.limits(),
-            group=np.array(config.groups or (-1,) * n, np.int64),
-            grouped=bool(config.groups),
-            fusion=0,
-            test=0,
-            sequential=0,
-            threshold=np.zeros(max(2, n - 2)),
-            judge_threshold=nis_threshold(pfa, 1),
-            max_delay=max_delay,
-            lost_limit=math.ceil(config.max_delay_s * config.rate_hz) + 1,
-            stuck=config.stuck_count,
-            status_period=round(config.status_period_s * 1e9) if statuses else 0,
-            doubt_time=round(config.health.probation_s * 1e9),
-            period=1.0 / config.rate_hz,
-            record=round(record_s * 1e9) if config.recall_window_s > 0.0 else 0,
-            glr=self._compensation.rules,
-            drift=self._drifts.numbers,
-            noise=self._watch.window_ns > 0,
-        )
-        self._select(self._selection)
-        self._state = self._fresh()
-        self._recaller = Recaller(config, self.array, self._cache)
+        self._methods = Methods(config, round(config.status_period_s * 1e9) if statuses else 0)
+        self._state = self._methods.fresh()
+        self._recaller = Recaller(config, self.array, self._methods.cache)
         self._recalls: list[Recall] = []
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
         self._health: list[Health | None] = [None, None]
@@ -147,15 +104,15 @@ class FusionPipeline:
         if block.gyro.shape[1] != self.n or block.accel.shape[1] != self.n:
             for t, s in zip(block.stamp.tolist(), block.sequence.tolist(), strict=True):
                 self.reject_length(t, s, block.gyro.shape[1], block.accel.shape[1])
-            return _fused(out, 0, ())
+            return fused_block(out, 0, ())
         k = o = 0
         while True:
-            k, o, code = fuse_samples(k, o, block, out, self._cache.tables, self._rules, self._state)
+            k, o, code = fuse_samples(k, o, block, out, self._methods.cache.tables, self._methods.rules, self._state)
             if code == K.DONE:
                 recalls, self._recalls = tuple(self._recalls), []
-                return _fused(out, o, recalls)
+                return fused_block(out, o, recalls)
             if code == K.NEED_TABLE:
-                self._make()
+                self._methods.make(self._state)
             elif code == K.RESTART:
                 self._restart(int(block.stamp[k]))
             elif code == K.COMMAND:
@@ -169,7 +126,7 @@ class FusionPipeline:
         st.counts[K.RECEIVED] += 1
         st.counts[K.REJECTED_LENGTH] += 1
         if st.clock[K.HAVE]:
-            note_sequence(st.clock, st.counts, sequence, self._rules.lost_limit)
+            note_sequence(st.clock, st.counts, sequence, self._methods.rules.lost_limit)
         if not 0 <= stamp_ns - self._length_event_ns < 1_000_000_000:  # one event a second, whatever the rate
             self._length_event_ns = stamp_ns
             self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"rejected: {gyros} gyros and {accels} accelerometers instead of {self.n} each")
@@ -187,13 +144,13 @@ class FusionPipeline:
         -------
         CommandResult; refused and counted for an unknown target or a stamp that has passed
         """
-        kind_name, _, number = target.rpartition("_")
-        if kind_name not in KINDS or not number.isdigit() or int(number) >= self.n:
+        command = UseSensor.of(target, use, self.n)
+        if command is None:
             return self._refuse(f'no sensor "{target}": gyro_0 .. gyro_{self.n - 1}, accel_0 .. accel_{self.n - 1}')
         effective_ns, when = self._due(effective_ns)
         if when.startswith("passed"):
             return self._refuse(f"{target}: the effective stamp {when}")
-        self._put(effective_ns, UseSensor(KINDS.index(kind_name), int(number), use))
+        self._put(effective_ns, command)
         return CommandResult(True, effective_ns, f"{target}: {'probation' if use else 'excluded'} from {when} on")
 
     def set_method(
@@ -223,7 +180,7 @@ class FusionPipeline:
 
     def selected(self, effective_ns: int | None = None) -> Selection:
         """Methods in force, or those that will be at a stamp as far as they have been commanded."""
-        return self._selection if effective_ns is None else self._commands.selection(effective_ns, self._selection)
+        return self._methods.selection if effective_ns is None else self._commands.selection(effective_ns, self._methods.selection)
 
     def status(self) -> FdiStatus:
         """State after the last sample."""
@@ -262,15 +219,15 @@ class FusionPipeline:
     @property
     def drift(self) -> Array:
         """Drift removed from each sensor after the last sample, (kind, sensor) [rad/s, m/s^2]; weighted least squares removes none."""
-        return np.stack([removed(kind, self._rules.fusion, self._state) for kind in range(2)])
+        return np.stack([removed(kind, self._methods.rules.fusion, self._state) for kind in range(2)])
 
     def rate_covariance(self, mask: int) -> Array:
         """Covariance (3, 3) of the fused rate's white noise [(rad/s)^2], body FRD, when the gyros in `mask` are used."""
-        return self._cache.noise_covariance(0, int(mask))
+        return self._methods.cache.noise_covariance(0, int(mask))
 
     def force_covariance(self, mask: int) -> Array:
         """Covariance (3, 3) of the fused specific force's white noise [(m/s^2)^2], body FRD, when the accelerometers in `mask` are used."""
-        return self._cache.noise_covariance(1, int(mask))
+        return self._methods.cache.noise_covariance(1, int(mask))
 
     def warm_up(self) -> None:
         """Compile or load the kernel by fusing a sample of a throw-away pipeline; this one is not touched."""
@@ -278,7 +235,7 @@ class FusionPipeline:
         valid = [(1 << self.n) - 1]
         other.process([0], [0], np.zeros((1, self.n)), np.zeros((1, self.n)), valid, valid)
         other.reject_length(1, 1, 0, 0)
-        self._compensation.warm_up()
+        self._methods.compensation.warm_up()
 
     def _after_sample(self, code: int) -> None:
         st = self._state
@@ -288,9 +245,9 @@ class FusionPipeline:
                 self._step(kind, index, t)
             st.wakes[:] = False
             for kind, glr in enumerate(st.glr):
-                self._compensation.answer(kind, glr, self._cache.tables, int(st.slot[kind]))
+                self._methods.compensation.answer(kind, glr, self._methods.cache.tables, int(st.slot[kind]))
                 if glr.ints[CHANGED]:
-                    for index, change, note in self._compensation.findings(kind, glr, self._machines[kind], t):
+                    for index, change, note in self._methods.compensation.findings(kind, glr, self._machines[kind], t):
                         self._refresh(kind, index)
                         self._changed(kind, index, change, note)
                         forget(st.sequence, kind)
@@ -324,7 +281,7 @@ class FusionPipeline:
             recall = self._recaller.recall(st.past, kind, index, t, stuck)  # other bad values never entered
             if recall is not None:
                 self._recalls.append(recall)
-                self._compensation.recalled(kind, st.glr[kind], index)
+                self._methods.compensation.recalled(kind, st.glr[kind], index)
                 note = f", {recall.text()}"
         self._changed(kind, index, change, note)
 
@@ -341,15 +298,15 @@ class FusionPipeline:
         unresolved = int(st.alarm[kind]) == K.UNRESOLVED or bool(st.glr[kind].ints[LONG])
         if unresolved and not st.doubt[kind]:
             st.doubt[kind] = 1
-            test = self._cache.test(kind, int(st.key[kind]))
+            test = self._methods.cache.test(kind, int(st.key[kind]))
             cause = "more than one pair of sensors explains it" if test.capability is Capability.ISOLATES else "these sensors detect only"
             self._tell(t, KINDS[kind], -1, None, Reason.PARITY, f"{KINDS[kind]} doubtful: a fault is seen but not isolated, {cause}")
-        elif st.doubt[kind] and not unresolved and t - int(st.doubt_last[kind]) > self._rules.doubt_time:
+        elif st.doubt[kind] and not unresolved and t - int(st.doubt_last[kind]) > self._methods.rules.doubt_time:
             st.doubt[kind] = 0
             self._tell(t, KINDS[kind], -1, None, Reason.RECOVERED, f"{KINDS[kind]} no longer doubtful")
 
     def _solved(self) -> bool:
-        st, dof = self._state, self._cache.tables.dof
+        st, dof = self._state, self._methods.cache.tables.dof
         return bool(dof[0, st.slot[0]] >= 0 and dof[1, st.slot[1]] >= 0)
 
     def _tell_solution(self, t: int, solved: bool) -> None:
@@ -357,15 +314,13 @@ class FusionPipeline:
             self._tell(t, "stream", -1, None, Reason.RECOVERED, "solution again")
             return
         st = self._state
-        lacking = [name for kind, name in enumerate(KINDS) if self._cache.tables.dof[kind, st.slot[kind]] < 0]
+        lacking = [name for kind, name in enumerate(KINDS) if self._methods.cache.tables.dof[kind, st.slot[kind]] < 0]
         self._tell(t, "stream", -1, None, Reason.NONE, f"no solution: too few usable axes of {' and '.join(lacking)}")
 
     def _restart(self, stamp_ns: int) -> None:
         """A stamp jumped: begin anew; only the operator's exclusions stay."""
         jump = (stamp_ns - int(self._state.clock[K.LAST])) * 1e-9
-        self._watch.reset()
-        self._select(self._selection)  # the noise is as stated again
-        old, self._state = self._state, self._fresh()
+        old, self._state = self._state, self._methods.restart()
         self._recaller.reset()
         self._state.counts[:] = old.counts
         self._state.counts[K.RESTARTS] += 1
@@ -379,11 +334,11 @@ class FusionPipeline:
         """Carry out the commands whose time has come, and isolate what the filters have found dead."""
         for kind, glr in enumerate(self._state.glr):
             if glr.ints[CHANGED]:
-                for index, death, note in self._compensation.deaths(kind, glr, self._machines[kind], stamp_ns):
+                for index, death, note in self._methods.compensation.deaths(kind, glr, self._machines[kind], stamp_ns):
                     self._refresh(kind, index)
                     self._changed(kind, index, death, note)  # no recall: the filter has paid back what it put in
-        if self._watch.window_ns and stamp_ns >= self._window_ends:
-            self._end_window(stamp_ns)
+        for kind_name, index, text in self._methods.end_window(self._state, stamp_ns):
+            self._tell(stamp_ns, kind_name, index, None, Reason.NONE, text)
         while (command := self._commands.take(stamp_ns)) is not None:
             if isinstance(command, Selection):
                 self._change_method(command, stamp_ns)
@@ -393,78 +348,20 @@ class FusionPipeline:
             self._refresh(command.kind, command.sensor)
             if change is not None:
                 self._changed(command.kind, command.sensor, change)
-        self._plan()
-
-    def _plan(self) -> None:
-        """Stamp at which the loop must come back before it goes on."""
-        due = self._commands.next_ns
-        self._state.clock[K.NEXT_COMMAND] = min(due, self._window_ends) if self._watch.window_ns else due
-
-    def _fresh(self) -> K.State:
-        """Memory before the first sample."""
-        self._window_ends = ALWAYS_NS
-        sequence = self._sequences.fresh(self._rules.sequential)
-        state = K.fresh_state(self.n, self._records, self._compensation.fresh(), self._drifts.fresh(), sequence, self._watch.fresh())
-        state.clock[K.NEXT_COMMAND] = ALWAYS_NS
-        return state
-
-    def _select(self, selection: Selection) -> None:
-        """Rules and tables of a selection with the noise that it asks for."""
-        sigma, total = self.config.sigma(), self.config.total_sigma()
-        if selection.adapt_noise:
-            sigma = self._watch.sigma
-            total = np.hypot(sigma, np.array([[self.config.gyro_bias_sigma], [self.config.accel_bias_sigma]]))
-        self._selection = selection
-        sequential, test = SEQUENTIAL_TESTS[selection.sequential_test], PARITY_TESTS[selection.parity_test]
-        pfa = self.config.pfa() * (0.5 if sequential else 1.0)
-        self._cache.change(sigma, total, pfa, test)
-        threshold = np.array([math.inf, *(glt_threshold(pfa, dof) for dof in range(1, max(2, self.n - 2)))])
-        self._rules = self._rules._replace(fusion=FUSION[selection.fusion], test=test, sequential=sequential, threshold=threshold)
+        self._state.clock[K.NEXT_COMMAND] = min(self._commands.next_ns, self._methods.window_ends)
 
     def _change_method(self, selection: Selection, stamp_ns: int) -> None:
-        before = self._selection
-        self._select(selection)
-        state = self._state._replace(sequence=self._sequences.fresh(self._rules.sequential))
-        if selection.fusion != before.fusion:
-            state = state._replace(drift=self._drifts.fresh(), glr=self._compensation.fresh())
+        before = self._methods.selection
+        if selection == before:
+            return
+        self._state = self._methods.change(self._state, selection)
+        if selection.fusion != before.fusion:  # the next one removes no drift yet
             for kind, machines in enumerate(self._machines):
                 for index, machine in enumerate(machines):
-                    if (change := machine.recover(stamp_ns)) is not None:  # the next method removes no drift yet
+                    if (change := machine.recover(stamp_ns)) is not None:
                         self._refresh(kind, index)
                         self._changed(kind, index, change)
-        self._state = state
         self._tell(stamp_ns, "command", -1, None, Reason.OPERATOR, f"method: {selection.text()}")
-
-    def _end_window(self, stamp_ns: int) -> None:
-        """The window of the noise estimation is over, or there was none yet."""
-        begun = self._window_ends != ALWAYS_NS
-        self._window_ends = self._watch.end(stamp_ns)
-        if not begun:
-            return
-        known = [dict(self._watch.loud(kind)) for kind in range(2)]
-        changed = self._watch.close(self._state.noise, self._state.valid)
-        for kind, name in enumerate(KINDS):
-            for index, times in self._watch.loud(kind):
-                if index not in known[kind]:
-                    self._tell(stamp_ns, name, index, None, Reason.NONE, f"{name}_{index}: noise is {times:.1f} times the stated")
-        if changed and self._selection.adapt_noise:
-            self._select(self._selection)
-            for kind in range(2):
-                forget(self._state.sequence, kind)
-            self._tell(stamp_ns, "stream", -1, None, Reason.NONE, "thresholds and weights follow the noise as estimated")
-
-    def _make(self) -> None:
-        """Make what the loop lacks of a set of sensors."""
-        st = self._state
-        kind, what, mask = int(st.need[0]), int(st.need[1]), int(st.need_key[0])
-        if what == K.TABLE:
-            self._cache.add(kind, mask)
-        elif what == K.TEST:
-            self._cache.add_test(kind, mask)
-        else:
-            bias = (self.config.gyro_bias_sigma, self.config.accel_bias_sigma)[kind]
-            test = self._cache.test(kind, mask)
-            self._sequences.begin(st.sequence, self._rules.sequential, kind, test, self._cache.white(kind, mask), bias)
 
     def _due(self, effective_ns: int) -> tuple[int, str]:
         """Stamp from which a command holds, and in words; the words begin with "passed" when that time has."""
@@ -495,9 +392,9 @@ class FusionPipeline:
         st, machine = self._state, self._machines[kind][index]
         self._health[kind] = None
         if st.base[kind, index] != machine.in_use:  # the filter goes over to the other set at the next sample
-            self._compensation.go_over(kind, st.glr[kind])
+            self._methods.compensation.go_over(kind, st.glr[kind])
             if machine.in_use:
-                self._drifts.begin(st.drift, kind, index)
+                self._methods.drifts.begin(st.drift, kind, index)
         st.base[kind, index] = machine.in_use
         st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
         st.wake[:, kind, index] = machine.wakes_at_ns()
@@ -516,11 +413,4 @@ class FusionPipeline:
         st, health = self._state, self._health[kind]
         if health is None:
             health = self._health[kind] = health_of(self._machines[kind])
-        return triad_status(kind, st, health, self._cache, removed(kind, self._rules.fusion, st), self._watch.estimate[kind])
-
-
-def _fused(out: K.Output, m: int, recalls: tuple[Recall, ...]) -> FusedBlock:
-    (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
-    columns = (out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
-    (gyro_drift, accel_drift), (gyro_excess, accel_excess) = out.drift[:, :m], out.excess[:, :m]
-    return FusedBlock(*columns, gyro_drift, accel_drift, gyro_excess, accel_excess, recalls)
+        return triad_status(kind, st, health, self._methods.cache, removed(kind, self._methods.rules.fusion, st), self._methods.watch.estimate[kind])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from riins_core.settings import nearest
 from riins_fdi.health import NEVER_NS
+from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.sequences import SEQUENTIAL_TESTS
@@ -46,6 +47,13 @@ class UseSensor(NamedTuple):
     kind: int
     sensor: int
     use: bool
+
+    @classmethod
+    def of(cls, target: str, use: bool, n: int) -> UseSensor | None:
+        """By name, gyro_0 .. accel_(n - 1); None: there is no such sensor."""
+        kind, _, number = target.rpartition("_")
+        known = kind in KINDS and number.isdigit() and int(number) < n
+        return cls(KINDS.index(kind), int(number), use) if known else None
 
 
 class Commands:

@@ -1,6 +1,6 @@
-"""The state of one kind of sensor after a sample, put together from the loop's memory and the health machines.
+"""What comes out of the fusion, put together from the loop's arrays and the health machines.
 
-Lives here: `Health`, kept until a machine changes, and `triad_status`.
+Lives here: `Health`, kept until a machine changes, `triad_status`, `fused_block`.
 Does not live here: what the fields mean (types.py), messages (reporting.py).
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from riins_fdi.health import TRIAD_CODE, HealthMachine
 from riins_imu_fusion import state as K
 from riins_imu_fusion.tables import TableCache
-from riins_imu_fusion.types import TriadStatus
+from riins_imu_fusion.types import FusedBlock, Recall, TriadStatus
 
 Array = NDArray[np.float64]
 
@@ -60,3 +60,11 @@ def triad_status(kind: int, st: K.State, health: Health, cache: TableCache, drif
         used=int(st.used[kind]),
         left_out=st.left_out[kind].copy(),
     )
+
+
+def fused_block(out: K.Output, m: int, recalls: tuple[Recall, ...]) -> FusedBlock:
+    """The first m samples of the output."""
+    (rate, force), (gyro_used, accel_used), (gyro_statistic, accel_statistic) = out.fused[:, :m], out.used[:, :m], out.statistic[:, :m]
+    columns = (out.stamp[:m], out.sequence[:m], rate, force, gyro_used, accel_used, gyro_statistic, accel_statistic)
+    (gyro_drift, accel_drift), (gyro_excess, accel_excess) = out.drift[:, :m], out.excess[:, :m]
+    return FusedBlock(*columns, gyro_drift, accel_drift, gyro_excess, accel_excess, recalls)

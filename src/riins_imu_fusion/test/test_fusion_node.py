@@ -16,13 +16,15 @@ pytest.importorskip("riins_msgs.msg", reason="needs riins_msgs built by colcon a
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 
 from riins_core.frames import frd_to_flu
 from riins_core.sensor_errors import normal
 from riins_imu_fusion.node import ImuFusionNode, main
-from riins_msgs.msg import FusedImu, InertialFdi, RedundantImu, SensorUse, TriadFdi
-from riins_msgs.srv import SetSensorUse
+from riins_imu_fusion.selection import Selection
+from riins_msgs.msg import FusedImu, FusionMethod, InertialFdi, RedundantImu, SensorUse, TriadFdi
+from riins_msgs.srv import SetFusionMethod, SetSensorUse
 from riins_node import convert, fields, qos
 
 os.environ["ROS_DOMAIN_ID"] = str(100 + os.getpid() % 80)
@@ -227,6 +229,45 @@ def test_accepted_commands_are_published_with_the_stamp_that_holds(bench: Bench)
     assert [(m.target, m.use, convert.to_ns(m.header.stamp)) for m in heard] == [
         ("accel_3", False, 0), ("gyro_0", False, START + 15 * DT), ("gyro_0", True, START + 9 * DT + 1),
     ]  # fmt: skip
+
+
+def test_a_method_is_chosen_while_running_and_published_with_the_stamp_that_holds(bench: Bench) -> None:
+    client = bench.other.create_client(SetFusionMethod, "imu_fusion/set_fusion_method")
+    bench.until(client.service_is_ready)
+
+    def call(**request: Any) -> SetFusionMethod.Response:
+        future = client.call_async(SetFusionMethod.Request(**request))
+        bench.until(future.done)
+        return future.result()
+
+    start = bench.node._config.method
+    bench.feed(0, 10)
+    answer = call(fusion="opt", sequential_test="cusum", effective=convert.to_stamp(START + 15 * DT))
+    assert answer.success and answer.message.startswith("fusion opt, parity test glt, sequential test cusum, noise as stated from ")
+    refused = [call(fusion="optt"), call(parity_test="svd", effective=convert.to_stamp(START))]
+    assert [r.success for r in refused] == [False, False] and '(did you mean "opt"?)' in refused[0].message and "passed" in refused[1].message
+    bench.feed(10, 30)
+    grown = [m.angular_velocity_covariance[0] > 1.5 * bench.got["raw"][0].angular_velocity_covariance[0] for m in bench.got["raw"]]
+    assert grown == [False] * 15 + [True] * 15  # what opt does not know of the drifts is in its covariance
+    heard: list[FusionMethod] = []
+    bench.other.create_subscription(FusionMethod, "fdi/method", heard.append, qos.latched(100))  # late, as a recorder may be
+    bench.until(lambda: len(heard) >= 2)
+    assert [(m.fusion, m.parity_test, m.sequential_test, m.adapt_noise, convert.to_ns(m.header.stamp)) for m in heard] == [
+        (start, "glt", "none", False, 0), ("opt", "glt", "cusum", False, START + 15 * DT),
+    ]  # fmt: skip
+    other = bench.other.create_publisher(FusionMethod, "fdi/method", qos.latched(100))  # a recording that is played
+    bench.until(lambda: other.get_subscription_count() >= 2)
+    other.publish(convert.fill(FusionMethod, fields.fusion_method(START + 40 * DT, Selection("wls", "svd", "none", True))))
+    bench.until(lambda: bench.node._pipeline.selected(START + 40 * DT).fusion == "wls")
+    bench.feed(30, 45)
+    assert bench.node._pipeline.selected() == ("wls", "svd", "none", True)
+
+
+@pytest.mark.parametrize(("name", "value"), [("method", "opt"), ("parity_test", "svd"), ("sequential_test", "cusum"), ("adapt_noise", True)])
+def test_a_parameter_set_while_running_is_refused_with_the_service_that_changes_it(bench: Bench, name: str, value: Any) -> None:
+    result = bench.node.set_parameters([Parameter(name, value=value)])[0]
+    assert not result.successful and result.reason == f'"{name}" is what the node starts with; call /imu_fusion/set_fusion_method to change it'
+    assert bench.node.get_parameter(name).value != value
 
 
 def test_diagnostics_say_that_there_is_no_imu(bench: Bench) -> None:
