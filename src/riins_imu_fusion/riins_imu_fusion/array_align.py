@@ -324,11 +324,12 @@ class ArrayAligner:
         return given
 
     def _begun(self) -> bool:
-        """The first interval is known: none of its samples can still be on the way."""
+        """The first interval is known: the first that all have who begin together; none of its samples can still be on the way."""
         if self._front is None:
             stamps = [stream.stamps[0] for stream in self._streams if stream.stamps]
             if stamps and self._newest >= min(stamps) + self._hold:
-                self._front = min(stamps) // self._period * self._period
+                early = max(stamp for stamp in stamps if stamp <= min(stamps) + self._hold - self._wait)  # all such have come by now
+                self._front = -(-early // self._period) * self._period
         return self._front is not None
 
     def _skip(self) -> None:

@@ -62,9 +62,9 @@ class ImuArrayNode(AutostartLifecycleNode):
                 raise StartError(f'"fusion_parameters_file" cannot be written: {error.strerror or error}') from None
         override = qos.overridable()
         self._out = self.create_publisher(RedundantImu, "rimu/raw", qos.imu(), qos_overriding_options=override)
-        self._parameters = self.create_publisher(String, "rimu/fusion_parameters", qos.latched(), qos_overriding_options=override)
+        self._told = self.create_publisher(String, "rimu/fusion_parameters", qos.latched(), qos_overriding_options=override)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.navigation(), qos_overriding_options=override)
-        self._parameters.publish(String(data=text))
+        self._told.publish(String(data=text))
         self._inputs = [
             self.create_subscription(Imu, topic, partial(self._on_imu, i), qos.imu(), qos_overriding_options=override)
             for i, topic in enumerate(config.topics)
@@ -83,7 +83,7 @@ class ImuArrayNode(AutostartLifecycleNode):
         self.destroy_timer(self._timer)
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        for publisher in (self._out, self._parameters, self._diagnostics):
+        for publisher in (self._out, self._told, self._diagnostics):
             self.destroy_publisher(publisher)
         return TransitionCallbackReturn.SUCCESS
 
