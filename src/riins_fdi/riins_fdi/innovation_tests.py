@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -49,7 +49,7 @@ class InnovationTest:
         self.dof = dof
         self.threshold = threshold
         self.restart = restart
-        self._state: tuple[NDArray[np.float64] | NDArray[np.int64], ...] = ()
+        self._state: tuple[Any, ...] = ()  # arrays, of floats or counts
 
     def step(self, innovation: ArrayLike, S: ArrayLike | None = None) -> InnovationVerdict:
         """Judge one innovation.
