@@ -268,7 +268,7 @@ def bars(name: str, title: str, methods: Sequence[Detector], results: dict[str, 
             axes.set_xlabel("share of all cases")
         left.set_yticks(at, [m.title for m in methods])
         left.invert_yaxis()
-        right.legend(loc="lower right")
+        canvas.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
     return Figure(name, title, draw_bars)
 
@@ -279,7 +279,7 @@ def curves(name: str, title: str, material: Material, methods: Sequence[Detector
     def draw_curves(canvas: Any) -> None:
         plots = canvas.subplots(1, 3, sharey=True)
         for axes, shape in zip(plots, ("step", "ramp", "noise"), strict=True):
-            for method in methods:
+            for number, method in enumerate(methods):
                 mine = [r for r in results[method.name] if len(r.case.faults) == 1 and r.case.faults[0].type == shape]
                 if not mine:
                     continue
@@ -291,12 +291,18 @@ def curves(name: str, title: str, material: Material, methods: Sequence[Detector
                 order = np.argsort(place)
                 groups = np.array_split(order, min(4, len(order)))
                 found = np.array([r.detected for r in mine], dtype=np.float64)
-                axes.plot([np.mean(np.array(place)[g]) for g in groups], [np.mean(found[g]) for g in groups], "o-", label=method.title)
+                axes.plot(
+                    [np.mean(np.array(place)[g]) for g in groups],
+                    [np.mean(found[g]) for g in groups],
+                    "o-",
+                    linewidth=5.0 - 0.5 * number,
+                    label=method.title,
+                )
             axes.set_title(shape)
             (g0, g1), (a0, a1) = material.sizes[shape]
             axes.set_xticks([0.0, 1.0], [f"{np.degrees(g0):.2g} deg/s\n{a0:.2g} m/s²", f"{np.degrees(g1):.2g} deg/s\n{a1:.2g} m/s²"])
             axes.set_ylim(-0.03, 1.03)
         plots[0].set_ylabel("detected")
-        plots[-1].legend(fontsize=7, loc="lower right")
+        canvas.legend(*plots[-1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
 
     return Figure(name, title, draw_curves)

@@ -82,8 +82,8 @@ def prepare(flight: Flight) -> Material:
     Q = np.eye(n) - flight.array.H @ np.linalg.pinv(flight.array.H)
     first, learned = round(SETTLE_S * rate), round((SETTLE_S + LEARN_S) * rate)
     gyro, accel = (Q @ z[first:learned].mean(axis=0) for z in flight.slow)
-    clean = flight.slow[0] - gyro, flight.slow[1] - accel
-    m = len(clean[0])
+    clean = flight.slow[0][first:] - gyro, flight.slow[1][first:] - accel
+    m, learned = len(clean[0]), learned - first
     blocks = max(2, 2 * round((m - learned) / rate / BLOCK_S / 2.0))  # as many in one half as in the other
     half = np.full(m, -1, dtype=np.int64)
     half[learned:] = np.arange(m - learned) * blocks // (m - learned) % 2
@@ -91,7 +91,7 @@ def prepare(flight: Flight) -> Material:
     def inject(case: Case) -> Pair:
         end = min(m, int(np.ceil(case.end_s * rate)))
         z = [part[:end].copy() for part in clean]
-        t = np.arange(end * flight.keep) / flight.raw_hz
+        t = np.arange((first + end) * flight.keep) / flight.raw_hz - first / rate
         for fault in case.faults:
             column = flight.raw[case.kind][: len(t), fault.sensor].copy()
             if fault.type == "stuck":
@@ -102,7 +102,7 @@ def prepare(flight: Flight) -> Material:
             smooth = lowpass(column[:, None], flight.cut_hz, flight.raw_hz)[:, 0]
             if fault.type == "stuck":  # what repeats itself passes as it is, as in an import
                 smooth[k + STUCK :] = column[k + STUCK :]
-            z[case.kind][:, fault.sensor] = smooth[:: flight.keep] - (gyro, accel)[case.kind][fault.sensor]
+            z[case.kind][:, fault.sensor] = smooth[:: flight.keep][first:] - (gyro, accel)[case.kind][fault.sensor]
         return z[0], z[1]
 
     alarms_h = 2.0 * EPISODES_A_HALF / ((m - learned) / rate / 3600.0)
