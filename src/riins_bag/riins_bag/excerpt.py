@@ -12,16 +12,14 @@ from collections.abc import Collection
 
 from riins_bag.errors import BagError
 from riins_bag.reader import BagReader
-from riins_bag.recording import RAW_TOPICS, selected
+from riins_bag.recording import AHEAD_TOPICS, RAW_TOPICS, selected
 from riins_bag.writer import BagWriter
-
-COMMANDS = "/nav/commands"  # what an operator said adds up: all of it holds, not the last alone
 
 
 def excerpt(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
-    topics: Collection[str] = (*RAW_TOPICS, COMMANDS),
+    topics: Collection[str] = RAW_TOPICS,
     start_s: float = 0.0,
     stop_s: float = float("inf"),
     level: int = 19,
@@ -52,7 +50,8 @@ def excerpt(
         end = None if stop_s == float("inf") else bag.start_ns + round(stop_s * 1e9)
         latched = [topic for topic in chosen if any(offer.durability == "transient_local" for offer in bag.qos(topic))]
         before = bag.messages(latched, stop_ns=begin) if latched else ()
-        held = {(message.topic, message.log_ns if message.topic == COMMANDS else 0): message for message in before}
+        # what an operator said adds up: all of it holds, not the last alone
+        held = {(message.topic, message.log_ns if message.topic in AHEAD_TOPICS else 0): message for message in before}
         schemas, channels, count = bag.schemas(), bag.channels(), 0
         with BagWriter(out, flush_period_s=0.0, chunk_bytes=1024 * 1024, level=level) as writer:
             for topic in chosen:

@@ -282,7 +282,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "consumer",
             flatten(as_mapping(fusion)),
             subscribes=("rimu/raw", "nav/commands"),
-            publishes=("imu/data_raw", "imu/fused", "fdi/status"),
+            publishes=("imu/data_raw", "imu/fused", "fdi/status", "fdi/method"),
         ),
         _spec(
             settings,

@@ -16,6 +16,7 @@ from riins_eval.run_configuration import RecordError
 from riins_eval.run_record import Track
 from riins_eval.score import score, score_bag, verdict
 from riins_federated.types import Reason, UseCommand
+from riins_imu_fusion.selection import Selection
 from riins_node import fields
 from riins_sim.faults import FaultSchedule
 from riins_sim.scenario import from_yaml
@@ -243,6 +244,29 @@ def test_a_recording_made_in_a_namespace_is_read_without_it(bag, tmp_path, run):
         bag_record.read_record(tmp_path / "fleet")
     with pytest.raises(BagError, match="nothing in the namespace fleet/ship3"):
         bag_record.read_record(tmp_path / "fleet", namespace="fleet/ship3")
+
+
+def test_a_change_of_method_in_the_bag_is_obeyed_at_its_stamp(bag, tmp_path, run):
+    """Laws 1 and 2: what was selected live is selected again, wherever the recorder heard of it; what the caller overrides stays."""
+    at = int(run.record.origin_ns + 30_000_000_000)
+    with BagReader(bag) as reader, BagWriter(tmp_path / "told", flush_period_s=0.0) as writer:
+        for one in reader.messages((*RAW_TOPICS, "/riins/configuration")):
+            writer.write(one.topic, one.msgtype, one.data, one.log_ns)
+        start = offline.navigate(bag).record
+        for stamp, chosen, log_ns in (
+            (0, Selection("wls", "glt", "none", False), at), (at, Selection("opt", "svd", "cusum", False), at + 900_000_000)
+        ):  # fmt: skip
+            writer.write_message("/fdi/method", "riins_msgs/msg/FusionMethod", fields.fusion_method(stamp, chosen), log_ns)
+    told = offline.navigate(tmp_path / "told", tmp_path / "again", record="all")
+    assert not [n for n in told.record.notes if "refused" in n] and not equal(told.record.settled, start.settled)
+    with BagReader(tmp_path / "again") as reader:
+        columns = reader.columns("/imu/fused", ("header.stamp", "gyro_drift"))
+        estimated = np.any(columns["gyro_drift"] != 0.0, axis=1)
+        assert np.array_equal(estimated, columns["header.stamp"].astype(np.int64) >= at) and reader.topics["/fdi/method"].number == 2
+    assert equal(offline.navigate(tmp_path / "again").record.settled, told.record.settled)  # a run with a switch is reproduced
+    kept = offline.navigate(tmp_path / "told", overrides={"fusion": {"method": "wls", "parity_test": "glt", "sequential_test": "none"}})
+    plain = offline.navigate(bag, overrides={"fusion": {"method": "wls"}})
+    assert equal(kept.record.settled, plain.record.settled)
 
 
 def test_commands_of_the_bag_are_obeyed_at_their_stamp(bag, tmp_path, run, monkeypatch):
