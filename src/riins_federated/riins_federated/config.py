@@ -129,6 +129,11 @@ class NodeConfig(NavigatorConfig):
     datum: tuple[float, ...] = setting((), "origin of the frame map: latitude [deg], longitude [deg], height [m]; empty: the initial position")
     state_period_s: float = setting(0.0, "interval of nav/state and imu/data; 0: every IMU sample", "s", 0.0, 10.0)
     odometry_period_s: float = setting(0.05, "interval of nav/odometry and nav/fix; 0: every IMU sample", "s", 0.0, 10.0)
+    imu_topic_type: str = setting(
+        "fused", "fused: imu/fused of imu_fusion; imu: an ordinary IMU, sensor_msgs/Imu on imu/data_raw, without fusion", choices=("fused", "imu")
+    )
+    imu_values: str = setting("instant", "an ordinary IMU's values: at its stamp, or means since the last one", choices=("instant", "mean"))
+    imu_rate_hz: float = setting(0.0, "nominal rate of an ordinary IMU, by which its losses are counted; 0: they are not", "Hz", 0.0, 1e5)
     imu_timeout_s: float = setting(1.0, "wall time without a sample after which the node says that there is no IMU", "s", 0.05, 100.0)
 
     def __post_init__(self) -> None:

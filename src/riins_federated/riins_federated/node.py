@@ -29,6 +29,7 @@ from riins_node.runner import AutostartLifecycleNode, run
 from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
+from .plain_imu import PlainImu
 from .reporting import Grid, diagnosis, what_changed
 from .types import Aid, Array, FederatedReport, InitialState, NavEvent, NavSolution, Reason, Recall, UseCommand
 
@@ -48,7 +49,7 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
 }
 EVENTS_KEPT = 10
 """In every FederatedStatus."""
-INPUTS = ("imu/fused", "gps/fix", "bds/fix", "doppler/velocity")
+INPUTS = ("gps/fix", "bds/fix", "doppler/velocity")
 
 
 class NavigatorNode(AutostartLifecycleNode):
@@ -57,6 +58,8 @@ class NavigatorNode(AutostartLifecycleNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("navigator", **kwargs)
         self._settings = declare(self, NodeConfig, also=["autostart"])
+        self._fused = self._settings.imu_topic_type == "fused"
+        self._imu_topic = "imu/fused" if self._fused else "imu/data_raw"
         self._inputs: list[Any] = []
         self._told: list[Any] = []  # commands we have published, which come back
 
@@ -74,12 +77,13 @@ class NavigatorNode(AutostartLifecycleNode):
         self._without_covariance: set[str] = set()
         self._sequence = self._settled_sequence = self._refused = 0
         self._last_wall = time.monotonic()
+        self._plain = PlainImu(settings.imu_rate_hz, settings.imu_values == "instant", settings.max_delay_s)
         self._published = {
             name: self.create_publisher(kind, name, profile(), qos_overriding_options=qos.overridable()) for name, (kind, profile) in OUTPUTS.items()
         }
         take = partial(self.create_subscription, qos_overriding_options=qos.overridable())
         self._inputs = [
-            take(msg.FusedImu, "imu/fused", self._on_imu, qos.imu()),
+            take(msg.FusedImu, "imu/fused", self._on_imu, qos.imu()) if self._fused else take(Imu, "imu/data_raw", self._on_plain_imu, qos.imu()),
             take(msg.InitialState, "nav/initial_state", self._on_initial_state, qos.latched(10)),
             take(msg.SensorUse, "nav/commands", self._on_command, qos.latched(100)),
             take(NavSatFix, "gps/fix", partial(self._on_aid, "gps", convert.read_position_aid), qos.aid()),
@@ -123,6 +127,15 @@ class NavigatorNode(AutostartLifecycleNode):
             self._publish_head(solution, _frd(message.angular_velocity_covariance), _frd(message.linear_acceleration_covariance))
         self._publish_settled()
         self._publish_status(sample["stamp_ns"])
+
+    def _on_plain_imu(self, message: Any) -> None:
+        """An ordinary IMU: what it says becomes what the fusion would say of it."""
+        if not self.active:
+            return
+        reading = convert.read_imu(message)
+        sequence, rate, force = self._plain.take(reading["stamp_ns"], reading["rate"], reading["force"])
+        covariances = reading["rate_covariance"], reading["force_covariance"]
+        self._on_imu(convert.fill(msg.FusedImu, fields.fused_imu(reading["stamp_ns"], sequence, rate, force, *covariances, 7, 7)))
 
     def _on_aid(self, name: str, read: Any, message: Any) -> None:
         if not self.active:
@@ -206,9 +219,9 @@ class NavigatorNode(AutostartLifecycleNode):
     def _watch_inputs(self) -> None:
         if not self.active:
             return
-        problems = several_publishers(self, INPUTS)
+        problems = several_publishers(self, [self._imu_topic, *INPUTS])
         if time.monotonic() - self._last_wall > self._settings.imu_timeout_s:
-            problems.append("no IMU: nothing on imu/fused")
+            problems.append(f"no IMU: nothing on {self._imu_topic}")
         for line in problems:
             self.get_logger().warning(line, throttle_duration_sec=10.0)
         if problems:
