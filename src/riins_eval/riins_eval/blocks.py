@@ -147,6 +147,12 @@ def nav_fixes(solutions: Sequence[Any]) -> Fields:
     return content
 
 
+def covariances(block: Any, pipeline: Any) -> tuple[Floats, Floats]:
+    """Covariances (m, 3, 3) of rate and specific force of a FusedBlock, as its messages carry them."""
+    rate = _by_mask(block.gyro_used, pipeline.rate_covariance) + block.gyro_excess
+    return rate, _by_mask(block.accel_used, pipeline.force_covariance) + block.accel_excess
+
+
 def track_of(solutions: Sequence[Any]) -> Track:
     """The states of NavSolutions as arrays."""
     if not solutions:
@@ -164,6 +170,11 @@ def track_of_truth(truth: Truth, stamp_ns: Stamps) -> Track:
     if known.any():
         rph[known] = np.column_stack(euler_from_dcm(truth.C_nb[known]))
     return Track(stamp_ns, truth.lat, truth.lon, truth.h, truth.v_n, rph)
+
+
+def _by_mask(masks: NDArray[Any], covariance: Any) -> Floats:
+    kinds, which = np.unique(masks, return_inverse=True)
+    return np.stack([covariance(int(mask)) for mask in kinds])[which] if len(kinds) else np.zeros((0, 3, 3))
 
 
 def _euler_sigmas(roll: Floats, pitch: Floats, heading: Floats, phi: Floats) -> Floats:

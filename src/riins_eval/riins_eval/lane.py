@@ -49,11 +49,11 @@ class Lane:
         self._judged: dict[str, list[Any]] = {}
         self.health: list[HealthChange] = []
 
-    def feed(self, aids: list[Aid], block: FusedBlock) -> None:
-        """Give the aids up to the last sample, then the samples, and take out what is settled."""
+    def feed(self, aids: list[Aid], block: FusedBlock, pipeline: FusionPipeline) -> None:
+        """Give the aids up to the last sample, then the samples of a pipeline, and take out what is settled."""
         for aid in aids:
             self.navigator.add_aid(aid)
-        self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force, recalls_of(block))
+        self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force, recalls_of(block), *blocks.covariances(block, pipeline))
         self.drain()
 
     def finish(self) -> None:

@@ -168,15 +168,15 @@ class _Voyage:
         fused = _fuse(self.pipeline, stamps, sequence, raw)
         self.log_of_fusion.add(fused, self.pipeline.drain_events())
         aids = self._aids(first_ns, last_ns, True)
-        self.lane.feed(_ordered(aids), fused)
+        self.lane.feed(_ordered(aids), fused, self.pipeline)
         if self.twin is not None and self.oracle is not None:
             clean, hidden = raw, raw
             if faulty_imu:
                 clean, hidden = self.imu.block(k0, m, None), _hide(raw, self.imu_faults.faults)
             block = fused if self.twin_pipeline is self.pipeline else _fuse(self.twin_pipeline, stamps, sequence, clean)
-            self.twin.feed(_ordered(self._aids(first_ns, last_ns, False)), block)
+            self.twin.feed(_ordered(self._aids(first_ns, last_ns, False)), block, self.twin_pipeline)
             block = fused if self.oracle_pipeline is self.pipeline else _fuse(self.oracle_pipeline, stamps, sequence, hidden)
-            self.oracle.feed([a for a in _ordered(aids) if not self._lies(a)], block)
+            self.oracle.feed([a for a in _ordered(aids) if not self._lies(a)], block, self.oracle_pipeline)
         if writer is None:
             self.pipeline.drain_statuses()
         else:

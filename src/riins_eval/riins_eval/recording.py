@@ -117,8 +117,7 @@ class RunWriter:
         """Fused samples (riins_imu_fusion FusedBlock) with the covariance that belongs to the sensors used."""
         if not (self.fused and len(block)):
             return
-        rate = _by_mask(block.gyro_used, pipeline.rate_covariance) + block.gyro_excess
-        force = _by_mask(block.accel_used, pipeline.force_covariance) + block.accel_excess
+        rate, force = blocks.covariances(block, pipeline)
         angle, velocity, onset = block.recalled()
         content = fields.fused_imu(
             block.stamp_ns, block.sequence, block.rate, block.force, rate, force, block.gyro_used, block.accel_used,
@@ -184,9 +183,3 @@ class RunWriter:
         seconds, nanoseconds = divmod(int(solution.stamp_ns), 1_000_000_000)
         stamp = np.array([seconds, nanoseconds], "<u4").tobytes()
         return template[:4] + stamp + template[12 : len(template) - P.nbytes] + P.astype("<f8").tobytes()
-
-
-def _by_mask(masks: Any, covariance: Any) -> Any:
-    """(m, 3, 3) of the covariances that belong to (m,) masks."""
-    kinds, which = np.unique(masks, return_inverse=True)
-    return np.stack([covariance(int(mask)) for mask in kinds])[which]

@@ -245,7 +245,7 @@ class _Run:
             before = int(np.searchsorted(part.log_ns, log_ns, side="left"))
             seen = int(newest[before - 1]) if before else self._newest
             (late if 0 <= seen - item.stamp_ns - self._max_delay < 2**61 else early).append(item)
-        self.lane.feed(early, fused)
+        self.lane.feed(early, fused, self.pipeline)
         for aid in late:
             self.lane.navigator.add_aid(aid)
         if len(newest):

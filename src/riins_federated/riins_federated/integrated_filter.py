@@ -20,6 +20,7 @@ from .config import NavigatorConfig
 from .error_filter import N_ERROR, PHI, VEL, ProcessNoise, correct, initial_covariance, transition
 from .local_filter import LocalFilter
 from .master import FusionReset, InformationMaster, Master
+from .sample_noise import SampleNoise
 from .solution import body_rate, solution
 from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall
 
@@ -36,6 +37,7 @@ class _Motion:
     sums: Array
     rate: Array  # last two samples, newest first
     force: Array
+    noise: Array  # of SampleNoise
     dt: float = 0.0
     stamp_ns: int = 0
     started_ns: int = 0
@@ -44,7 +46,7 @@ class _Motion:
 
     def copy(self) -> _Motion:
         fresh = replace(self)
-        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "rate", "force"):
+        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "rate", "force", "noise"):
             setattr(fresh, name, getattr(self, name).copy())
         return fresh
 
@@ -65,6 +67,7 @@ class IntegratedFilter:
     def __init__(self, config: NavigatorConfig) -> None:
         self._config = config
         self._noise = ProcessNoise(config)
+        self._sample_noise = SampleNoise(config)
         self._height = HeightModel(config.height)
         self.subfilters = [LocalFilter("gps", PositionModel(config.gps), config.isolation, config.gps.timeout_s)] if config.gps.enabled else []
         if config.bds.enabled:
@@ -111,6 +114,7 @@ class IntegratedFilter:
             np.zeros(13),
             np.zeros((2, 3)),
             np.zeros((2, 3)),
+            self._sample_noise.fresh(),
             stamp_ns=initial.stamp_ns,
             started_ns=initial.stamp_ns,
             reset_count=before.reset_count + 1 if before else 0,
@@ -125,9 +129,10 @@ class IntegratedFilter:
         for local in self.subfilters:
             local.restart()
 
-    def integrate(self, rate: Array, force: Array, dt: Array, stamp_ns: int) -> None:
-        """Advance the nominal state by samples (m, 3), (m, 3), (m,), the last of which ends at `stamp_ns`."""
+    def integrate(self, rate: Array, force: Array, dt: Array, stamp_ns: int, rate_covariance: Array, force_covariance: Array) -> None:
+        """Advance the nominal state by samples (m, 3), (m, 3), (m,) of covariances (m, 3, 3), the last of which ends at `stamp_ns`."""
         m = self._running()
+        self._sample_noise.gather(m.noise, rate_covariance, force_covariance, dt)
         p = m.parameters
         bias_g = p[0:3] + p[6:9]
         if len(dt) > 1:
@@ -146,6 +151,7 @@ class IntegratedFilter:
         m = self._running()
         if m.sums[12] > 0.0:
             transition(m.nav, m.sums, self._noise.density, self._noise.markov_rate, self._Phi, self._Qd)
+            self._sample_noise.add(m.noise, m.sums[3:12].reshape(3, 3) / m.sums[12], float(m.sums[12]), self._Qd)
             self._master.predict(self._Phi, self._Qd)
             m.sums[:] = 0.0
 

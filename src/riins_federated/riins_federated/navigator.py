@@ -143,7 +143,16 @@ class Navigator:
         self._take_in(command.stamp_ns)
         return ""
 
-    def add_imu(self, stamp_ns: NDArray[np.int64], sequence: NDArray[Any], rate: Array, force: Array, recalls: Sequence[Recall] = ()) -> None:
+    def add_imu(
+        self,
+        stamp_ns: NDArray[np.int64],
+        sequence: NDArray[Any],
+        rate: Array,
+        force: Array,
+        recalls: Sequence[Recall] = (),
+        rate_covariance: Array | None = None,
+        force_covariance: Array | None = None,
+    ) -> None:
         """Take a block of samples of any length.
 
         Parameters
@@ -152,7 +161,10 @@ class Navigator:
         sequence : (m,), numbers of the source; a gap counts as lost
         rate, force : (m, 3), mean body rate and specific force over the interval, rad/s, m/s^2, FRD
         recalls : what declared sensors have put in, in order of stamp, one at most for a sample of this block
+        rate_covariance, force_covariance : (m, 3, 3), white noise of each sample, (rad/s)^2, (m/s^2)^2, FRD; zero or None: not known
         """
+        unknown = np.zeros((len(stamp_ns), 3, 3))
+        noise = [unknown if given is None else given for given in (rate_covariance, force_covariance)]
         stamp_ns = np.asarray(stamp_ns, np.int64)
         numbers: NDArray[np.int64] = np.asarray(sequence, np.int64)
         self.imu_received += len(stamp_ns)
@@ -163,7 +175,8 @@ class Navigator:
             steps = np.diff(stamp_ns[start:], prepend=before)
             unusual = np.flatnonzero(~(finite[start:] & (steps > 0) & (steps <= self._max_delay)))
             stop = start + int(unusual[0]) if len(unusual) else len(stamp_ns)
-            self._append(stamp_ns[start:stop], numbers[start:stop], rate[start:stop], force[start:stop])
+            part = slice(start, stop)
+            self._append(stamp_ns[part], numbers[part], rate[part], force[part], noise[0][part], noise[1][part])
             recalls = self._queue_recalls(stamp_ns[start:stop], recalls)
             if stop == len(stamp_ns):
                 break
@@ -227,14 +240,16 @@ class Navigator:
     def _is_late(self, stamp_ns: int) -> bool:
         return self._last_ns is not None and self._last_ns - stamp_ns >= self._max_delay
 
-    def _append(self, stamp_ns: NDArray[np.int64], sequence: NDArray[np.int64], rate: Array, force: Array) -> None:
+    def _append(
+        self, stamp_ns: NDArray[np.int64], sequence: NDArray[np.int64], rate: Array, force: Array, rate_covariance: Array, force_covariance: Array
+    ) -> None:
         if len(stamp_ns) == 0:
             return
         first = stamp_ns[0] - self._last_ns if self._last_ns is not None else 0  # the first step of a run is counted from the initial state
         dt = np.diff(stamp_ns, prepend=stamp_ns[0] - first) * 1e-9
         gaps = np.diff(sequence, prepend=sequence[0] - 1 if self._last_sequence is None else self._last_sequence)
         self.imu_lost += int(np.where((gaps > 1) & (gaps < LOST_BEYOND), gaps - 1, 0).sum())
-        self._imu.append(stamp_ns, np.asarray(rate, np.float64), np.asarray(force, np.float64), dt)
+        self._imu.append(stamp_ns, np.asarray(rate, np.float64), np.asarray(force, np.float64), rate_covariance, force_covariance, dt)
         self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
 
     def _queue_recalls(self, stamp_ns: NDArray[np.int64], recalls: Sequence[Recall]) -> Sequence[Recall]:
@@ -289,7 +304,10 @@ class Navigator:
             if cursor < len(queue):
                 due = min(due, queue[cursor].stamp_ns)
             stop = min(max(int(np.searchsorted(imu.stamp, due)), k), len(imu) - 1)
-            self._filter.integrate(imu.rate[k : stop + 1], imu.force[k : stop + 1], imu.dt[k : stop + 1], int(imu.stamp[stop]))
+            part = slice(k, stop + 1)
+            self._filter.integrate(
+                imu.rate[part], imu.force[part], imu.dt[part], int(imu.stamp[stop]), imu.rate_covariance[part], imu.force_covariance[part]
+            )
             k = stop + 1
             self._sample = k + self._dropped_samples
             if imu.stamp[stop] >= due:
@@ -395,7 +413,8 @@ class Navigator:
         rest = (int(imu.stamp[sample]) - initial.stamp_ns) * 1e-9
         if rest > 0.0:
             one = slice(sample, sample + 1)
-            self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), int(imu.stamp[sample]))
+            stamp, noise = int(imu.stamp[sample]), (imu.rate_covariance[one], imu.force_covariance[one])
+            self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), stamp, *noise)
             self._filter.propagate()
         self._schedule(initial.stamp_ns)
         self._tell(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}", EventKind.BEGUN)

@@ -121,10 +121,13 @@ class NavigatorNode(AutostartLifecycleNode):
         sample = convert.read_fused_imu(message)
         stamp, onset = sample["stamp_ns"], sample["recall_onset_ns"]
         recalls = [Recall(stamp, onset, sample["angle_recall"], sample["velocity_recall"])] if onset else []
-        self._navigator.add_imu(np.array([stamp]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None], recalls)
+        noise = _frd(message.angular_velocity_covariance), _frd(message.linear_acceleration_covariance)
+        self._navigator.add_imu(
+            np.array([stamp]), np.array([sample["sequence"]]), sample["rate"][None], sample["force"][None], recalls, noise[0][None], noise[1][None]
+        )
         solution = self._navigator.head()
         if solution is not None and solution.stamp_ns == sample["stamp_ns"]:
-            self._publish_head(solution, _frd(message.angular_velocity_covariance), _frd(message.linear_acceleration_covariance))
+            self._publish_head(solution, *noise)
         self._publish_settled()
         self._publish_status(sample["stamp_ns"])
 

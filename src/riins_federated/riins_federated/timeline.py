@@ -52,6 +52,9 @@ class Checkpoint:
     filter: tuple[object, ...]
 
 
+_COLUMNS = ("stamp", "rate", "force", "rate_covariance", "force_covariance", "dt")
+
+
 class ImuBuffer:
     """IMU samples from the oldest checkpoint to the newest arrival.
 
@@ -59,6 +62,7 @@ class ImuBuffer:
     ----------
     stamp : (m,) int64, ns
     rate, force : (m, 3), FRD
+    rate_covariance, force_covariance : (m, 3, 3), FRD, zero where not known
     dt : (m,), s, since the sample before
     """
 
@@ -70,22 +74,24 @@ class ImuBuffer:
         self.stamp: NDArray[np.int64] = np.empty(0, np.int64)
         self.rate: Array = np.empty((0, 3))
         self.force: Array = np.empty((0, 3))
+        self.rate_covariance: Array = np.empty((0, 3, 3))
+        self.force_covariance: Array = np.empty((0, 3, 3))
         self.dt: Array = np.empty(0)
 
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def append(self, stamp: NDArray[np.int64], rate: Array, force: Array, dt: Array) -> None:
+    def append(self, stamp: NDArray[np.int64], rate: Array, force: Array, rate_covariance: Array, force_covariance: Array, dt: Array) -> None:
         """Add samples that follow the last one."""
-        self.stamp = np.concatenate([self.stamp, stamp])
-        self.rate = np.concatenate([self.rate, rate])
-        self.force = np.concatenate([self.force, force])
-        self.dt = np.concatenate([self.dt, dt])
+        new = (stamp, rate, force, rate_covariance, force_covariance, dt)
+        for name, values in zip(_COLUMNS, new, strict=True):
+            setattr(self, name, np.concatenate([getattr(self, name), values]))
 
     def drop(self, n: int) -> None:
         """Forget the oldest n samples."""
         if n > 0:
-            self.stamp, self.rate, self.force, self.dt = self.stamp[n:], self.rate[n:], self.force[n:], self.dt[n:]
+            for name in _COLUMNS:
+                setattr(self, name, getattr(self, name)[n:])
 
 
 class Timed(NamedTuple):
