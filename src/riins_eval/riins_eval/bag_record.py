@@ -83,7 +83,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             description=scenario.description if scenario else "", covariance=_covariance(reader, settled),
             mode=columns["mode"][index].astype(np.int64) if navigated else None,
             protection_radius=columns["protection_radius"][index] if navigated else None, judged=_judged(reader),
-            health=sorted(_sensor_health(reader) + _subfilter_health(reader, int(settled.stamp_ns[-1])), key=lambda c: c.stamp_ns),
+            health=sorted(_sensor_health(reader) + _subfilter_health(reader, stop_ns - 1), key=lambda c: c.stamp_ns),
             faults=fault_intervals(faults, start_ns, ends), origin_ns=start_ns,
             scoring_from_ns=start_ns + (round(scenario.scoring.from_s * 1e9) if scenario else 0), use=_sensor_use(reader), samples=_samples(reader),
             n_sensors=configuration.fusion.array().n,
