@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_fdi.health import TRIAD_CODE
+from riins_federated.calibration import Calibration, Calibrator
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, FederatedReport, NavEvent, Recall
 from riins_imu_fusion.pipeline import FusionPipeline
@@ -35,7 +36,7 @@ class Lane:
 
     Attributes
     ----------
-    solutions, judged, events : what came out since `take` was last called, for a recorder
+    calibrations, solutions, judged, events : what came out since `take` was last called, for a recorder
     """
 
     def __init__(self, navigator: Navigator) -> None:
@@ -43,6 +44,8 @@ class Lane:
         self.solutions: list[Any] = []
         self.judged: list[Any] = []
         self.events: list[NavEvent] = []
+        self.calibrations: list[Calibration] = []
+        self._calibrator = Calibrator(navigator.config)
         self._tracks: list[Track] = []
         self._covariances: list[Floats] = []
         self._modes: list[Floats] = []
@@ -56,6 +59,11 @@ class Lane:
         self.navigator.add_imu(block.stamp_ns, block.sequence, block.rate, block.force, recalls_of(block), *blocks.covariances(block, pipeline))
         self.drain()
 
+    def calibrate(self, pipeline: FusionPipeline) -> None:
+        """Tell the fusion that feeds this navigator what it has found of the biases, as nav/calibration does."""
+        for one in self.calibrations:
+            pipeline.add_calibration(one.effective_ns, one.gyro_bias, one.gyro_covariance, one.accel_bias, one.accel_covariance)
+
     def finish(self) -> None:
         """End of the run: what is left is settled."""
         self.navigator.finish()
@@ -64,6 +72,7 @@ class Lane:
     def drain(self) -> None:
         """Take out what is settled."""
         self.solutions, self.judged = self.navigator.drain_settled(), self.navigator.drain_judged()
+        self.calibrations = self._calibrator.take(self.solutions)
         if self.solutions:
             self._tracks.append(blocks.track_of(self.solutions))
             self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))

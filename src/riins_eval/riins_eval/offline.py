@@ -169,6 +169,7 @@ class _Voyage:
         self.log_of_fusion.add(fused, self.pipeline.drain_events())
         aids = self._aids(first_ns, last_ns, True)
         self.lane.feed(_ordered(aids), fused, self.pipeline)
+        self.lane.calibrate(self.pipeline)
         if self.twin is not None and self.oracle is not None:
             clean, hidden = raw, raw
             if faulty_imu:
@@ -177,6 +178,9 @@ class _Voyage:
             self.twin.feed(_ordered(self._aids(first_ns, last_ns, False)), block, self.twin_pipeline)
             block = fused if self.oracle_pipeline is self.pipeline else _fuse(self.oracle_pipeline, stamps, sequence, hidden)
             self.oracle.feed([a for a in _ordered(aids) if not self._lies(a)], block, self.oracle_pipeline)
+            for lane, pipeline in ((self.twin, self.twin_pipeline), (self.oracle, self.oracle_pipeline)):
+                if pipeline is not self.pipeline:
+                    lane.calibrate(pipeline)
         if writer is None:
             self.pipeline.drain_statuses()
         else:
@@ -230,6 +234,7 @@ class _Voyage:
             return
         lane = self.lane
         writer.settled(lane.solutions, LABELS)
+        writer.calibrations(lane.calibrations)
         writer.judged(lane.judged)
         report = lane.navigator.status()
         for event in lane.events:

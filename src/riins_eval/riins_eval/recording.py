@@ -32,6 +32,7 @@ NAV_STATE, NAV_COVARIANCE, INNOVATION = "riins_msgs/msg/NavState", "riins_msgs/m
 FEDERATED, INERTIAL, FAULTS, INITIAL = (
     "riins_msgs/msg/FederatedStatus", "riins_msgs/msg/InertialFdi", "riins_msgs/msg/FaultArray", "riins_msgs/msg/InitialState",
 )  # fmt: skip
+CALIBRATION = "riins_msgs/msg/InertialCalibration"
 REDUNDANT_IMU, FUSED_IMU = "riins_msgs/msg/RedundantImu", "riins_msgs/msg/FusedImu"
 ODOMETRY, FIX, TWIST = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistWithCovarianceStamped"
 
@@ -141,6 +142,12 @@ class RunWriter:
         for solution in solutions:
             self._bag.write("/nav/covariance", NAV_COVARIANCE, self._covariance_cdr(solution, labels), int(solution.stamp_ns))
         self._settled += len(solutions)
+
+    def calibrations(self, calibrations: Iterable[Any]) -> None:
+        """What the navigator tells the fusion of the biases (riins_federated Calibration); the log time is that of the newest state behind it."""
+        if self.nav:
+            for one in calibrations:
+                self._bag.write_message("/nav/calibration", CALIBRATION, fields.inertial_calibration(one), int(one.estimated_ns))
 
     def judged(self, judged: Iterable[Any]) -> None:
         """Innovations (riins_federated Judged)."""

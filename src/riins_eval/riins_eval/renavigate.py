@@ -246,6 +246,7 @@ class _Run:
             seen = int(newest[before - 1]) if before else self._newest
             (late if 0 <= seen - item.stamp_ns - self._max_delay < 2**61 else early).append(item)
         self.lane.feed(early, fused, self.pipeline)
+        self.lane.calibrate(self.pipeline)
         for aid in late:
             self.lane.navigator.add_aid(aid)
         if len(newest):
@@ -254,6 +255,7 @@ class _Run:
     def _write(self, writer: RunWriter) -> None:
         lane = self.lane
         writer.settled(lane.solutions, LABELS)
+        writer.calibrations(lane.calibrations)
         writer.judged(lane.judged)
         report = lane.navigator.status()
         for event in lane.events:

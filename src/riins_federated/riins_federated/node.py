@@ -26,6 +26,7 @@ from riins_node.inputs import several_publishers
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
 
+from .calibration import Calibrator
 from .config import NodeConfig
 from .error_filter import LABELS
 from .navigator import Navigator
@@ -44,6 +45,7 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/initial_state": (msg.InitialState, qos.latched),
     "nav/subfilters": (msg.FederatedStatus, qos.latched),
     "nav/commands": (msg.SensorUse, partial(qos.latched, 100)),
+    "nav/calibration": (msg.InertialCalibration, qos.latched),
     "imu/data": (Imu, qos.navigation),
     "/diagnostics": (DiagnosticArray, qos.navigation),
 }
@@ -67,7 +69,7 @@ class NavigatorNode(AutostartLifecycleNode):
         """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
         settings = self._settings
         Navigator.warm_up()
-        self._navigator = Navigator(settings)
+        self._navigator, self._calibrator = Navigator(settings), Calibrator(settings)
         self._datum = (*np.radians(settings.datum[:2]).tolist(), settings.datum[2]) if settings.datum else None
         self._frame: LocalFrame | None = None
         self._state_grid, self._odometry_grid, self._second = Grid(settings.state_period_s), Grid(settings.odometry_period_s), Grid(1.0)
@@ -203,6 +205,8 @@ class NavigatorNode(AutostartLifecycleNode):
             self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
             self._publish("nav/covariance", fields.nav_covariance(settled, LABELS))
             self._settled_sequence += 1
+            for calibration in self._calibrator.take([settled]):
+                self._publish("nav/calibration", fields.inertial_calibration(calibration))
         news = self._navigator.drain_events()
         self._events = [*self._events, *news][-EVENTS_KEPT:]
         self._news = bool(news)

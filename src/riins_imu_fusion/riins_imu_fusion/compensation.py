@@ -17,7 +17,8 @@ from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.glr_kf import make_rules, make_state
 from riins_imu_fusion.glr_kf_answer import answer, forgive
 from riins_imu_fusion.glr_kf_resolve import resolve, take_in
-from riins_imu_fusion.glr_kf_state import BASED, CALL, CHANGED, DEAD, NOISE, OPEN, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.glr_kf_state import BASED, BEFORE, CALL, CHANGED, DEAD, NOISE, OPEN, OTHER_SET, STRANGE, USED, GlrRules, GlrState
+from riins_imu_fusion.known_bias import Calibration, KnownBias
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.state import Tables
 from riins_imu_fusion.types import Reason
@@ -35,6 +36,7 @@ class Compensation:
     Attributes
     ----------
     rules : of gyros and accelerometers
+    known : biases of gyros and accelerometers
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -43,6 +45,7 @@ class Compensation:
         self._settings = config.glr
         self._models = [TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz) for k in range(2)]
         self.change_noise(sigma)
+        self.known = [KnownBias(rules) for rules in self.rules]
 
     def change_noise(self, sigma: NDArray[np.float64]) -> None:
         """Rules for another noise (2, n) of the samples; what the filters know goes on after `go_on`."""
@@ -55,7 +58,9 @@ class Compensation:
             state.ints[BASED] = 0
 
     def fresh(self) -> tuple[GlrState, GlrState]:
-        """Memory before the first sample."""
+        """Memory before the first sample; what was known of the sensors is forgotten."""
+        for known in self.known:
+            known.forget()
         return make_state(self._models[0], self._settings), make_state(self._models[1], self._settings)
 
     def warm_up(self) -> None:
@@ -68,15 +73,24 @@ class Compensation:
     def answer(self, kind: int, glr: GlrState, tables: Tables, slot: int) -> None:
         """Do what the filter asks for after a sample of the set of sensors in `slot`."""
         if glr.ints[CALL]:
-            V = tables.V[kind, slot, : tables.dof[kind, slot]]
-            answer(glr, self.rules[kind], V, tables.member[kind, slot], tables.W[kind, slot])
+            V, member, known = tables.V[kind, slot, : tables.dof[kind, slot]], tables.member[kind, slot], self.known[kind]
+            if glr.ints[CALL] == OTHER_SET:
+                for index in np.flatnonzero((glr.vec[USED] > 0.0) & (member == 0.0)).tolist():
+                    known.leave(glr, index)
+            answer(glr, self.rules[kind], V, member, tables.W[kind, slot], known.returning())
+
+    def calibrate(self, calibration: Calibration) -> None:
+        """A calibration holds from now on."""
+        for kind, known in enumerate(self.known):
+            known.fused = calibration.bias[kind], calibration.covariance[kind]
 
     def findings(self, kind: int, glr: GlrState, machines: Sequence[HealthMachine], stamp_ns: int) -> list[tuple[int, Change, str]]:
         """Step the health of the sensors the filter has opened or closed after a sample: (sensor, change, what to say of it)."""
         made = []
+        drifted = glr.x - glr.vec[BEFORE]
         for index, machine in enumerate(machines):
             if glr.open[index] == OPEN:
-                change, note = machine.compensate(stamp_ns, int(Reason.PARITY)), f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} removed"
+                change, note = machine.compensate(stamp_ns, int(Reason.PARITY)), f", drift of {drifted[index]:+.3g} {_UNIT[kind]} removed"
             else:
                 change, note = machine.recover(stamp_ns), ""
             if change is not None:
@@ -90,7 +104,8 @@ class Compensation:
         for index, machine in enumerate(machines):
             if glr.whole[DEAD, index] and (change := machine.isolate(stamp_ns, int(Reason.PARITY))) is not None:
                 noisy = glr.vec[NOISE, index] > self.rules[kind].noise_limit
-                made.append((index, change, ", too noisy" if noisy else f", drift of {glr.x[index]:+.3g} {_UNIT[kind]} too large"))
+                drifted = glr.x[index] - glr.vec[BEFORE, index]
+                made.append((index, change, ", too noisy" if noisy else f", drift of {drifted:+.3g} {_UNIT[kind]} too large"))
         return made
 
     def recalled(self, kind: int, glr: GlrState, index: int) -> None:

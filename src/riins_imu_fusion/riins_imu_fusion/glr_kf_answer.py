@@ -20,17 +20,18 @@ from .glr_kf_state import (
 # isort: on
 
 
-def answer(st: GlrState, rules: GlrRules, V: F, used: F, W: F) -> None:
+def answer(st: GlrState, rules: GlrRules, V: F, used: F, W: F, expected: F | None = None) -> None:
     """What the loop has asked for in st.ints[CALL].
 
     Parameters
     ----------
     V, used, W : (d, n), (n,), (3, n), parity matrix of unit noise, members and estimator of the set of sensors of the last sample
+    expected : (n,), bias of a sensor that comes in, relative to the fused output, as far as it is known; None: zeros
     """
     call = st.ints[CALL]
     st.ints[CALL] = NONE
     if call == OTHER_SET:
-        _go_over(st, rules, V, used, W)
+        _go_over(st, rules, V, used, W, np.zeros(len(used)) if expected is None else expected)
         return
     if call == NOTE:
         _log_moment(st, int(st.ints[COUNT]), st.par[SUM])
@@ -146,8 +147,8 @@ def _mark_open(st: GlrState, i: int, shape: int) -> None:
     st.vec[NOISE, i] = 1.0
 
 
-def _go_over(st: GlrState, rules: GlrRules, V: F, used: F, W: F) -> None:
-    """Go over to another set of sensors; what is known of each stays, but one that comes in anew is as at the beginning."""
+def _go_over(st: GlrState, rules: GlrRules, V: F, used: F, W: F, expected: F) -> None:
+    """Go over to another set of sensors; what is known of each stays, one that comes in anew is as uncertain as at the beginning."""
     d, first_time = len(V), st.ints[BASED] == 0
     leaving = np.flatnonzero((used == 0.0) & (st.vec[USED] > 0.0))
     entering = np.flatnonzero((used > 0.0) & (st.vec[USED] == 0.0))
@@ -157,7 +158,7 @@ def _go_over(st: GlrState, rules: GlrRules, V: F, used: F, W: F) -> None:
         first, second = (*leaving.tolist()[:2], -1, -1)[:2]
         _suppose(st, rules, first, second, 0, 0)
     for i in entering:
-        st.vec[X, i] = 0.0
+        st.vec[X, i] = 0.0 if first_time else expected[i]
         st.vec[TOTAL, i] = st.vec[PAID, i]
         st.mat[[COV, CROSS], i] = 0.0
         st.mat[[COV, CROSS], :, i] = 0.0

@@ -164,7 +164,8 @@ def watch(st: GlrState, rules: GlrRules, mean: F) -> None:
 def review(st: GlrState, rules: GlrRules, beat: int) -> None:
     """Mark a sensor that is dead: too much noise or too large a drift to be kept; close one whose drift has gone."""
     for i in range(st.vec.shape[1]):
-        too_far = st.vec[X, i] * st.vec[X, i] > rules.drift_limit**2 * rules.each[SIGMA2, i]
+        drift = st.vec[X, i] - st.vec[BEFORE, i]
+        too_far = drift * drift > rules.drift_limit**2 * rules.each[SIGMA2, i]
         if st.whole[STATE, i] == OPEN and st.vec[USED, i] > 0.0 and (too_far or st.vec[NOISE, i] > rules.noise_limit):
             st.whole[DEAD, i] = 1
             st.ints[CHANGED] = 1

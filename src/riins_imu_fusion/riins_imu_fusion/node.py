@@ -22,7 +22,7 @@ from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.reporting import diagnosis, inertial_fdi
 from riins_imu_fusion.types import FusedBlock
-from riins_msgs.msg import FusedImu, FusionMethod, InertialFdi, RedundantImu, SensorUse
+from riins_msgs.msg import FusedImu, FusionMethod, InertialCalibration, InertialFdi, RedundantImu, SensorUse
 from riins_msgs.srv import SetFusionMethod, SetSensorUse
 from riins_node import convert, fields, qos
 from riins_node.inputs import several_publishers
@@ -73,6 +73,9 @@ class ImuFusionNode(AutostartLifecycleNode):
         self._methods = self.create_subscription(
             FusionMethod, "fdi/method", self._on_method, qos.latched(100), qos_overriding_options=qos.overridable()
         )
+        self._calibrations = self.create_subscription(
+            InertialCalibration, "nav/calibration", self._on_calibration, qos.latched(), qos_overriding_options=qos.overridable()
+        )
         self._services = [
             self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
             self.create_service(SetFusionMethod, "~/set_fusion_method", self._set_fusion_method),
@@ -94,6 +97,7 @@ class ImuFusionNode(AutostartLifecycleNode):
         self.destroy_subscription(self._input)
         self.destroy_subscription(self._commands)
         self.destroy_subscription(self._methods)
+        self.destroy_subscription(self._calibrations)
         for publisher in self._published.values():
             self.destroy_publisher(publisher)
         return TransitionCallbackReturn.SUCCESS
@@ -157,6 +161,10 @@ class ImuFusionNode(AutostartLifecycleNode):
             result = self._pipeline.set_method(**convert.read_fusion_method(message))
             if not result.success:
                 self.get_logger().warning(f"selection refused: {result.message}")
+
+    def _on_calibration(self, message: Any) -> None:
+        if self.active:
+            self._pipeline.add_calibration(**convert.read_inertial_calibration(message))
 
     def _set_fusion_method(self, request: Any, response: Any) -> Any:
         result = self._pipeline.set_method(

@@ -16,6 +16,7 @@ from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.drifts import removed
 from riins_imu_fusion.glr_kf_state import CHANGED, LONG
 from riins_imu_fusion.kernel import fuse_samples
+from riins_imu_fusion.known_bias import Calibration
 from riins_imu_fusion.recall import Recaller
 from riins_imu_fusion.running import Methods
 from riins_imu_fusion.samples import note_sequence
@@ -55,7 +56,7 @@ class FusionPipeline:
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
         self._health: list[Health | None] = [None, None]
         self._commands = Commands()
-        self._commands_refused = 0
+        self._commands_refused = self._calibrations_refused = 0
         self._events: list[FdiEvent] = []
         self._statuses: list[FdiStatus] = []
         self._text: list[str] = []
@@ -178,6 +179,33 @@ class FusionPipeline:
         self._put(effective_ns, chosen)
         return CommandResult(True, effective_ns, f"{chosen.text()} from {when} on")
 
+    def add_calibration(
+        self, effective_ns: int, gyro_bias: ArrayLike, gyro_covariance: ArrayLike, accel_bias: ArrayLike, accel_covariance: ArrayLike
+    ) -> CommandResult:  # fmt: skip
+        """Take what a navigator says of the bias of the fused output; see known_bias for what it is used for.
+
+        Parameters
+        ----------
+        effective_ns : holds from the first sample with this stamp or a later one
+        gyro_bias, accel_bias : (3,), rad/s, m/s^2, FRD
+        gyro_covariance, accel_covariance : (3, 3)
+
+        Returns
+        -------
+        CommandResult; refused and counted when its stamp has passed, a value is not finite or a covariance is not positive definite
+        """
+        calibration = Calibration(
+            np.array([gyro_bias, accel_bias], np.float64).reshape(2, 3), np.array([gyro_covariance, accel_covariance], np.float64).reshape(2, 3, 3)
+        )
+        problem, when = calibration.problem(), self._due(effective_ns)[1] if effective_ns else "passed: it has none"
+        problem = problem or (f"the effective stamp {when}" if when.startswith("passed") else "")
+        if problem:
+            self._calibrations_refused += 1
+            self._tell(self.last_stamp_ns or 0, "command", -1, None, Reason.OPERATOR, f"calibration refused: {problem}")
+            return CommandResult(False, 0, problem)
+        self._put(effective_ns, calibration)
+        return CommandResult(True, effective_ns, f"calibration from {when} on")
+
     def selected(self, effective_ns: int | None = None) -> Selection:
         """Methods in force, or those that will be at a stamp as far as they have been commanded."""
         return self._methods.selection if effective_ns is None else self._commands.selection(effective_ns, self._methods.selection)
@@ -209,6 +237,7 @@ class FusionPipeline:
             rejected_no_solution=c[K.REJECTED_NO_SOLUTION],
             restarts=c[K.RESTARTS],
             commands_refused=self._commands_refused,
+            calibrations_refused=self._calibrations_refused,
         )
 
     @property
@@ -343,6 +372,9 @@ class FusionPipeline:
             if isinstance(command, Selection):
                 self._change_method(command, stamp_ns)
                 continue
+            if isinstance(command, Calibration):
+                self._methods.compensation.calibrate(command)
+                continue
             machine = self._machines[command.kind][command.sensor]
             change = (machine.restore if command.use else machine.exclude)(stamp_ns, int(Reason.OPERATOR))
             self._refresh(command.kind, command.sensor)
@@ -413,4 +445,6 @@ class FusionPipeline:
         st, health = self._state, self._health[kind]
         if health is None:
             health = self._health[kind] = health_of(self._machines[kind])
-        return triad_status(kind, st, health, self._methods.cache, removed(kind, self._methods.rules.fusion, st), self._methods.watch.estimate[kind])
+        methods = self._methods
+        bias = methods.compensation.known[kind].all(st.glr[kind])
+        return triad_status(kind, st, health, methods.cache, removed(kind, methods.rules.fusion, st), bias, methods.watch.estimate[kind])

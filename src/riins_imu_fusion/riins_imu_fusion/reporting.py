@@ -79,6 +79,8 @@ def _triad(triad: TriadStatus) -> Fields:
         "reason": np.array(triad.reason, np.uint8),
         "since": list(triad.since_ns),
         "drift": triad.drift,
+        "bias": triad.bias,
+        "bias_sigma": triad.bias_sigma,
         "sigma": triad.sigma,
         "capability": int(triad.capability),
     }

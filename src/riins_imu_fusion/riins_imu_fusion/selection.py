@@ -14,6 +14,7 @@ from riins_fdi.health import NEVER_NS
 from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.judges import PARITY_TESTS
+from riins_imu_fusion.known_bias import Calibration
 from riins_imu_fusion.sequences import SEQUENTIAL_TESTS
 
 CHOICES = {"fusion": tuple(FUSION), "parity_test": tuple(PARITY_TESTS), "sequential_test": tuple(SEQUENTIAL_TESTS)}
@@ -57,10 +58,10 @@ class UseSensor(NamedTuple):
 
 
 class Commands:
-    """Commands that wait for the first sample with their stamp or a later one; of equal stamps the one given first comes first."""
+    """Commands and calibrations that wait for the first sample with their stamp or a later one; of equal stamps the one given first comes first."""
 
     def __init__(self) -> None:
-        self._queue: list[tuple[int, int, UseSensor | Selection]] = []
+        self._queue: list[tuple[int, int, UseSensor | Selection | Calibration]] = []
         self._given = 0
 
     @property
@@ -68,12 +69,12 @@ class Commands:
         """Stamp at which one is due."""
         return self._queue[0][0] if self._queue else NEVER_NS
 
-    def put(self, effective_ns: int, command: UseSensor | Selection) -> None:
+    def put(self, effective_ns: int, command: UseSensor | Selection | Calibration) -> None:
         """Let a command wait."""
         heapq.heappush(self._queue, (effective_ns, self._given, command))
         self._given += 1
 
-    def take(self, stamp_ns: int) -> UseSensor | Selection | None:
+    def take(self, stamp_ns: int) -> UseSensor | Selection | Calibration | None:
         """The next one due at a stamp."""
         return heapq.heappop(self._queue)[2] if self._queue and self._queue[0][0] <= stamp_ns else None
 

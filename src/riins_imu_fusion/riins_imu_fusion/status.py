@@ -39,8 +39,10 @@ def health_of(machines: Sequence[HealthMachine]) -> Health:
     )
 
 
-def triad_status(kind: int, st: K.State, health: Health, cache: TableCache, drift: Array, sigma: Array) -> TriadStatus:
-    """Status of gyros (kind 0) or accelerometers (1); `drift` as removed and `sigma` as estimated, (n,) each."""
+def triad_status(
+    kind: int, st: K.State, health: Health, cache: TableCache, drift: Array, bias: tuple[Array, Array], sigma: Array
+) -> TriadStatus:  # fmt: skip
+    """Status of gyros (kind 0) or accelerometers (1); `drift` as removed, `bias` and its sigma as known, `sigma` as estimated, (n,) each."""
     tested = int(st.key[kind]) if st.clock[K.HAVE] else (1 << len(health.state)) - 1
     test = cache.test(kind, tested)
     return TriadStatus(
@@ -54,6 +56,8 @@ def triad_status(kind: int, st: K.State, health: Health, cache: TableCache, drif
         reason=health.reason,
         since_ns=health.since_ns,
         drift=drift,
+        bias=bias[0],
+        bias_sigma=bias[1],
         sigma=sigma.copy(),
         capability=cache.test(kind, health.in_use & tested).capability,  # of what can serve the next sample
         doubtful=bool(st.doubt[kind]),

@@ -149,6 +149,7 @@ class Counters(NamedTuple):
     rejected_no_solution: int
     restarts: int
     commands_refused: int
+    calibrations_refused: int = 0
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,7 @@ class TriadStatus:
     Attributes
     ----------
     parity : (dof,), rad/s or m/s^2
+    bias, bias_sigma : (n,), bias with its drift and its standard deviation, as in known_bias; NaN: not known
     suspect : sensor the test points at, -1: none, or it cannot tell
     sigma : (n,), white noise of a sample as estimated while running, rad/s or m/s^2; NaN: not yet
     doubtful : a fault was seen, within the probation time, that could not be resolved
@@ -175,6 +177,8 @@ class TriadStatus:
     reason: tuple[int, ...]
     since_ns: tuple[int, ...]
     drift: Array
+    bias: Array
+    bias_sigma: Array
     sigma: Array
     capability: Capability
     doubtful: bool

@@ -373,6 +373,18 @@ def fusion_method(stamp_ns: int, selection: Any) -> Fields:
     return {"header": header(max(int(stamp_ns), 0), ""), **selection._asdict()}
 
 
+def inertial_calibration(calibration: Any) -> Fields:
+    """riins_msgs/InertialCalibration of a riins_federated Calibration."""
+    return {
+        "header": header(calibration.effective_ns, IMU),
+        "estimated": calibration.estimated_ns,
+        "gyro_bias": vector(frames.frd_to_flu(calibration.gyro_bias)),
+        "gyro_bias_covariance": _flat(frames.frd_to_flu_covariance(calibration.gyro_covariance)),
+        "accel_bias": vector(frames.frd_to_flu(calibration.accel_bias)),
+        "accel_bias_covariance": _flat(frames.frd_to_flu_covariance(calibration.accel_covariance)),
+    }
+
+
 def diagnostics(stamp_ns: int, statuses: Iterable[tuple[str, str, str, Mapping[str, Any]]], hardware_id: str = "riins") -> Fields:
     """diagnostic_msgs/DiagnosticArray of (name, level, message, values); level is one of `LEVELS`."""
     return {
@@ -427,7 +439,6 @@ def _subfilter(sub: Any) -> Fields:
         "rejected": int(sub.rejected),
         "late": int(sub.late),
         "malformed": int(sub.malformed),
-        "no_fix": int(sub.no_fix),
         "no_fix": int(sub.no_fix),
     }
 

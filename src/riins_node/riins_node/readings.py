@@ -234,6 +234,14 @@ def read_fusion_method(msg: Any) -> dict[str, Any]:
     return {**names, "adapt_noise": bool(msg.adapt_noise), "effective_ns": to_ns(msg.header.stamp)}
 
 
+def read_inertial_calibration(msg: Any) -> dict[str, Any]:
+    """Read riins_msgs/InertialCalibration: the arguments of FusionPipeline.add_calibration by name, FRD."""
+    biases = {f"{kind}_bias": frames.frd_to_flu(_vector(getattr(msg, f"{kind}_bias"))) for kind in ("gyro", "accel")}  # its own inverse
+    given = {kind: np.array(getattr(msg, f"{kind}_bias_covariance"), np.float64).reshape(3, 3) for kind in ("gyro", "accel")}
+    covariances = {f"{kind}_covariance": frames.frd_to_flu_covariance(P) for kind, P in given.items()}
+    return {"effective_ns": to_ns(msg.header.stamp), **biases, **covariances}
+
+
 def _vector(v: Any) -> Array:
     return np.array([v.x, v.y, v.z], np.float64)
 
