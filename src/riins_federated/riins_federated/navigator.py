@@ -1,7 +1,7 @@
 """The navigator: what happens when. Everything is worked in the order of measurement time, whatever the order of arrival.
 
 Lives here: `Navigator`: takes IMU samples, aids and commands as they come, rolls back for what is late, settles results after `max_delay`.
-Does not live here: navigation and filtering (integrated_filter.py), queues (timeline.py).
+Does not live here: navigation and filtering (integrated_filter.py), queues (timeline.py), what is said (logbook.py).
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_fdi.health import SUBFILTER_CODE, Change
-
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
-from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, Journal, next_due, to_ns
-from .types import Aid, Array, EventKind, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
+from .logbook import Logbook
+from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, next_due, to_ns
+from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
 
 MAX_WAITING = 100_000
 """Items that may wait for the IMU to reach their stamp."""
@@ -60,14 +59,15 @@ class Navigator:
             to_ns(config.feedback_period_s),
         )
         self._initials: list[InitialState] = []
-        self._out: dict[type, list[Any]] = {NavSolution: [], Judged: [], NavEvent: []}
+        self._log = Logbook()
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
         self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
         self._clear()
 
     def _clear(self) -> None:
-        self._imu, self._queue, self._journal = ImuBuffer(), EventQueue(), Journal()
+        self._imu, self._queue = ImuBuffer(), EventQueue()
+        self._log.new_run()
         self._checkpoints: list[Checkpoint] = []
         self._due = Due(0, 0, 0, 0)
         self._dropped_samples = self._dropped_items = 0  # so that indices stay true when the oldest go
@@ -223,7 +223,7 @@ class Navigator:
 
     def finish(self) -> None:
         """End of the recording: everything is settled."""
-        self._collect(None)
+        self._log.settle()
 
     @staticmethod
     def warm_up() -> None:
@@ -263,7 +263,7 @@ class Navigator:
     def _restart(self, stamp_ns: int, step_ns: int) -> None:
         """The IMU stamp has jumped: settle what was, and wait for an initial state near the new stamp."""
         self._advance()
-        self._collect(None)
+        self._log.settle()
         waiting = [self._queue[i] for i in range(self._cursor - self._dropped_items, len(self._queue))]
         self._filter.stop()
         self._clear()
@@ -274,7 +274,7 @@ class Navigator:
                 self._queue.add(stamp, rank, item)
             elif isinstance(item, Aid):
                 self._filter.subfilters[rank].late += 1
-        self._tell(stamp_ns, f"IMU stamp jumped by {step_ns * 1e-9:+.3f} s: the run restarts and waits for an initial state", EventKind.RESTARTED)
+        self._log.jumped(stamp_ns, step_ns)
 
     def _take_in(self, stamp_ns: int) -> None:
         """Work in a new item of the queue, going back if its time has passed."""
@@ -290,7 +290,7 @@ class Navigator:
     def _return_to(self, point: Checkpoint) -> None:
         self._filter.restore(point.filter)
         self._sample, self._cursor, self._due = point.sample, point.cursor, point.due
-        self._journal.truncate(point.journal)
+        self._log.truncate(point.journal)
 
     def _advance(self) -> None:
         """Work everything up to the newest sample."""
@@ -338,20 +338,10 @@ class Navigator:
             elif isinstance(item, UseCommand):
                 self._filter.subfilters[self._rank[item.name]].use(item.stamp_ns, item.use)
             self._cursor += 1
-        self._schedule(initial.stamp_ns)
-        self._tell(initial.stamp_ns, f"navigation begins from the initial state of {initial.source or 'an unnamed source'}", EventKind.BEGUN)
+        self._due = self._period.after(initial.stamp_ns)
+        self._log.begun(initial)
         self._checkpoints = [self._checkpoint(initial.stamp_ns)]
         return True
-
-    def _schedule(self, stamp_ns: int) -> None:
-        never = 2**62
-        period = self._period
-        self._due = Due(
-            stamp_ns + period.covariance,
-            stamp_ns + period.height if period.height else never,
-            stamp_ns + period.settle,
-            stamp_ns + period.feedback if period.feedback else never,
-        )
 
     def _work(self, stamp_ns: int, sample: int) -> None:
         """Do what is due at a sample that has just been integrated."""
@@ -368,11 +358,11 @@ class Navigator:
                 flt.subfilters[rank].refuse(Reason.NOT_READY)
             elif isinstance(item, Aid):
                 judged, change = flt.judge(rank, item)
-                self._journal.add(stamp, judged)
-                self._note(item.name, change)
+                self._log.add(stamp, judged)
+                self._log.health(item.name, change)
                 corrected |= judged.accepted
             elif isinstance(item, UseCommand):
-                self._note(item.name, flt.subfilters[self._rank[item.name]].use(stamp, item.use))
+                self._log.health(item.name, flt.subfilters[self._rank[item.name]].use(stamp, item.use))
             elif isinstance(item, Recall):
                 self._recall(item)
             else:
@@ -386,9 +376,9 @@ class Navigator:
             flt.feed_back()
             due = replace(due, feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
         for local in flt.subfilters:
-            self._note(local.name, local.watch(stamp_ns, flt.started_ns))
+            self._log.health(local.name, local.watch(stamp_ns, flt.started_ns))
         if stamp_ns >= due.settle:
-            self._journal.add(stamp_ns, flt.solution())
+            self._log.add(stamp_ns, flt.solution())
             due = replace(due, settle=next_due(due.settle, period.settle, stamp_ns))
         self._due = due
         margin = self._max_delay + 2 * period.covariance
@@ -397,14 +387,10 @@ class Navigator:
 
     def _recall(self, recall: Recall) -> None:
         """Take out what declared inertial sensors have put in, if this run integrated all of it."""
-        angle, velocity = (float(np.linalg.norm(v)) for v in (recall.angle, recall.velocity))
-        text = f"{np.degrees(angle) * 60.0:.2f} arcmin and {velocity:.3g} m/s of isolated inertial sensors"
-        if recall.onset_ns >= self._filter.started_ns:
+        possible = recall.onset_ns >= self._filter.started_ns
+        if possible:
             self._filter.recall(recall)
-            text = f"recalled {text} since {(recall.stamp_ns - recall.onset_ns) * 1e-9:.1f} s"
-        else:
-            text = f"not recalled, it began before the run: {text}"
-        self._tell(recall.stamp_ns, text, EventKind.RECALLED)
+        self._log.recalled(recall, possible)
 
     def _start_again(self, initial: InitialState, sample: int) -> None:
         """Re-initialise within the sample that has just been integrated, and integrate what is left of it."""
@@ -416,21 +402,11 @@ class Navigator:
             stamp, noise = int(imu.stamp[sample]), (imu.rate_covariance[one], imu.force_covariance[one])
             self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), stamp, *noise)
             self._filter.propagate()
-        self._schedule(initial.stamp_ns)
-        self._tell(initial.stamp_ns, f"navigation begins again from the initial state of {initial.source or 'an unnamed source'}", EventKind.BEGUN)
-
-    def _note(self, name: str, change: Change | None) -> None:
-        if change is not None:
-            reason = f" ({Reason(change.reason).name.lower()})" if change.reason else ""
-            text = f"{name}: {change.previous.name.lower()} -> {change.state.name.lower()}{reason}"
-            state = SUBFILTER_CODE[change.state]
-            self._journal.add(change.stamp_ns, NavEvent(change.stamp_ns, text, EventKind.HEALTH, name, state, Reason(change.reason)))
-
-    def _tell(self, stamp_ns: int, text: str, kind: EventKind) -> None:
-        self._journal.add(stamp_ns, NavEvent(stamp_ns, text, kind))
+        self._due = self._period.after(initial.stamp_ns)
+        self._log.begun(initial, again=True)
 
     def _checkpoint(self, stamp_ns: int) -> Checkpoint:
-        return Checkpoint(stamp_ns, self._sample, self._cursor, len(self._journal), self._due, self._filter.snapshot())
+        return Checkpoint(stamp_ns, self._sample, self._cursor, len(self._log), self._due, self._filter.snapshot())
 
     def _trim(self) -> None:
         """Forget what no measurement can bring back."""
@@ -451,12 +427,7 @@ class Navigator:
         self._imu.drop(n)
         self._dropped_samples += n
 
-    def _collect(self, until_ns: int | None) -> None:
-        for entry in self._journal.take(2**63 - 1 if until_ns is None else until_ns):
-            self._out[type(entry)].append(entry)
-
     def _drain(self, kind: type) -> list[Any]:
         if self._last_ns is not None:
-            self._collect(self._last_ns - self._max_delay)
-        out, self._out[kind] = self._out[kind], []
-        return out
+            self._log.settle(self._last_ns - self._max_delay)
+        return self._log.drain(kind)

@@ -28,7 +28,7 @@ def next_due(due: int, period: int, stamp_ns: int) -> int:
 
 @dataclass(frozen=True)
 class Due:
-    """Stamps at which something recurs."""
+    """Stamps at which something recurs, or the periods."""
 
     covariance: int
     height: int
@@ -38,6 +38,13 @@ class Due:
     def first(self) -> int:
         """The earliest."""
         return min(self.covariance, self.height, self.settle, self.feedback)
+
+    def after(self, stamp_ns: int) -> Due:
+        """The first stamps after a beginning, of periods of which 0 means never."""
+        covariance, height, settle, feedback = (
+            stamp_ns + period if period else NEVER_NS for period in (self.covariance, self.height, self.settle, self.feedback)
+        )
+        return Due(covariance, height, settle, feedback)
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,7 @@ class Checkpoint:
     filter: tuple[object, ...]
 
 
+NEVER_NS = 2**62
 _COLUMNS = ("stamp", "rate", "force", "rate_covariance", "force_covariance", "dt")
 
 
