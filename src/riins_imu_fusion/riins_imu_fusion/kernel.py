@@ -230,8 +230,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
             if rules.noise:
-                gather(0, st.valid[0], z, st.noise)
-                gather(1, st.valid[1], z, st.noise)
+                gather(0, counts[FUSED], st.valid[0], z, st.noise)
+                gather(1, counts[FUSED], st.valid[1], z, st.noise)
             if grid > 0:
                 note_past(t, grid, nominal, used[0], used[1], clean, place_past, end, last, span, used_past, total)
             output.stamp[o] = t

@@ -21,6 +21,8 @@ F = NDArray[np.float64]
 
 GAIN, LAGS = 0.3, 6
 """Of the filter whose innovations are taken; lags whose autocovariances are used."""
+RUN, OF = 512, 2048
+"""Samples taken in, and of how many: a quarter of the time is a quarter of the cost, and a longer window makes up for it."""
 LOUD = 1.5
 """Ratio of estimated to stated noise from which on it is said."""
 
@@ -29,18 +31,21 @@ LOUD = 1.5
 class NoiseSettings:
     """Estimation of the white noise of each sensor while the fusion runs; six sensors at least tell each one's."""
 
-    window_s: float = setting(60.0, "samples of this time make an estimate; 0: no estimation", "s", 0.0, 86400.0)
+    window_s: float = setting(240.0, "a quarter of the samples of this time makes an estimate; 0: no estimation", "s", 0.0, 86400.0)
     most: float = setting(5.0, "an estimate is used up to this many times the stated noise, and down to one part in as many", "", 1.0, 1e3)
     least_change: float = setting(0.1, "an estimate is used when it differs by this part from what is in use", "", 0.0, 10.0)
 
 
 @inner
-def gather(kind: int, valid: np.uint64, z: F, st: NoiseState) -> None:
-    """Take in a sample (2, n); another set of sensors than the one worked with breaks the run of samples."""
-    if valid != st.key[kind]:
-        st.count[kind, 0] = 0.0
-    else:
-        autocovariance_step(st.s[kind], st.ring[kind], st.sums[kind], st.count[kind], GAIN, st.V[kind], z[kind])
+def gather(kind: int, number: int, valid: np.uint64, z: F, st: NoiseState) -> None:
+    """Take in a sample (2, n) by its number, if its turn has come; another set of sensors than the one worked with breaks the run of samples."""
+    turn = number % OF
+    if turn >= RUN:
+        return
+    if turn == 0 or valid != st.key[kind]:
+        st.number[kind, 0] = 0.0
+    if valid == st.key[kind]:
+        autocovariance_step(st.s[kind], st.ring[kind], st.sums[kind], st.number[kind], GAIN, st.V[kind], z[kind])
 
 
 class NoiseWatch:
@@ -83,9 +88,9 @@ class NoiseWatch:
             s=np.zeros((2, d)),
             ring=np.zeros((2, LAGS, d)),
             sums=np.zeros((2, LAGS, d, d)),
-            count=np.zeros((2, 2 + LAGS)),
+            number=np.zeros((2, 2 + LAGS)),
         )
-        state.count[:, 1] = np.ceil(np.log(1e-3) / np.log(1.0 - GAIN))
+        state.number[:, 1] = np.ceil(np.log(1e-3) / np.log(1.0 - GAIN))
         for kind in range(2):
             self._begin(state, kind, (1 << n) - 1)
         return state
@@ -103,15 +108,15 @@ class NoiseWatch:
             dof = used.size - 3
             if dof > 0:
                 try:
-                    made = solve(state.V[kind, :dof], used, state.sums[kind, :, :dof, :dof], state.count[kind, 2:], GAIN, each=True)
+                    made = solve(state.V[kind, :dof], used, state.sums[kind, :, :dof, :dof], state.number[kind, 2:], GAIN, each=True)
                 except (ValueError, np.linalg.LinAlgError):  # too few samples or sensors, or readings that do not vary
                     pass
                 else:
                     self.estimate[kind, used] = np.sqrt(made.R[used])
                     changed |= self._take_over(kind)
-            seen, now = state.count[kind, -1] > 0.0, int(valid[kind])
+            seen, now = state.number[kind, -1] > 0.0, int(valid[kind])
             state.sums[kind] = 0.0
-            state.count[kind, 2:] = 0.0
+            state.number[kind, 2:] = 0.0
             if now != mask and (not seen or now & mask == mask):  # not for an axis that is missing just now
                 self._begin(state, kind, now)
         return changed
@@ -133,7 +138,7 @@ class NoiseWatch:
 
     def _begin(self, state: NoiseState, kind: int, mask: int) -> None:
         state.key[kind] = np.uint64(mask)
-        state.count[kind, 0] = 0.0
+        state.number[kind, 0] = 0.0
         state.V[kind] = 0.0
         try:
             V = self._array.parity_full(mask)

@@ -146,7 +146,7 @@ class NoiseState(NamedTuple):
     s: F  # (2, d)
     ring: F  # (2, N, d)
     sums: F  # (2, N, d, d)
-    count: F  # (2, 2 + N)
+    number: F  # (2, 2 + N)
 
 
 class State(NamedTuple):

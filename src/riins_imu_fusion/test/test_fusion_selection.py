@@ -174,7 +174,7 @@ def test_the_fused_covariance_of_optimal_fusion_is_honest(name: str) -> None:
     start, walk = s * np.array([3.0, 0.5, 1.0, 2.0, 0.5, 0.5]), s * np.array([1.0, 0.1, 0.1, 0.5, 0.1, 0.1])
     config = replace(CONFIG, method=name, drift=DriftSettings(gyro_sigma=tuple(start), gyro_walk=tuple(walk)), false_alarm_probability=1e-12)
     nees = []
-    for seed in range(150):
+    for seed in range(100):
         feed, pipeline = Feed(300, config, seed), FusionPipeline(config)
         steps = normal(seed, "walk", 0, 301, 6)
         feed.gyro += start * steps[0] + np.cumsum(walk * 0.1 * steps[1:], axis=0)
@@ -182,8 +182,8 @@ def test_the_fused_covariance_of_optimal_fusion_is_honest(name: str) -> None:
         at = [0, 99, 299]
         error = (block.rate - RATE)[at]
         nees.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(pipeline.rate_covariance(ALL) + block.gyro_excess[at]), error))
-    mean = np.mean(nees, axis=0)  # of 150 values of chi-square(3): 3 +- 0.2
-    assert np.all(np.abs(mean - 3.0) < 0.7)
+    mean = np.mean(nees, axis=0)  # of 100 values of chi-square(3): 3 +- 0.25
+    assert np.all(np.abs(mean - 3.0) < 0.9)
 
 
 def test_a_sensor_that_returns_begins_anew() -> None:
@@ -211,7 +211,7 @@ def exact(status: FdiStatus) -> list[object]:
 names = st.tuples(*(st.sampled_from(("", *CHOICES[word])) for word in ("fusion", "parity_test", "sequential_test")), st.booleans())
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 10_000), st.lists(names, min_size=1, max_size=3), st.lists(st.integers(1, 150), min_size=1, max_size=40))
 def test_law_3_blocks_change_nothing_whatever_is_selected_when(seed: int, selections: list, lengths: list[int]) -> None:
     """Whole, re-blocked and one by one, with faults, gaps and changes of method: outputs, events, statuses are the same, bit for bit."""
@@ -298,42 +298,42 @@ def test_leaving_glr_kf_takes_its_word_back() -> None:
     )
 
 
-NOISE = replace(CONFIG, false_alarm_probability=2e-3, noise=NoiseSettings(window_s=20.0), health=replace(SHORT, isolate_count=1_000_000))
+NOISE = replace(CONFIG, false_alarm_probability=2e-3, noise=NoiseSettings(window_s=80.0), health=replace(SHORT, isolate_count=1_000_000))
 
 
 def test_a_noisy_sensor_is_found_and_the_false_alarms_are_back_when_adapted() -> None:
     rates = []
     for adapt in (False, True):
-        feed, pipeline = Feed(12_000, NOISE), FusionPipeline(replace(NOISE, adapt_noise=adapt), statuses=True)
-        feed.gyro[:, 4] += np.sqrt(8.0) * feed.sigma[0, 0] * normal(11, "more", 0, 12_000, 1)[:, 0]
+        feed, pipeline = Feed(40_000, NOISE), FusionPipeline(replace(NOISE, adapt_noise=adapt), statuses=True)
+        feed.gyro[:, 4] += np.sqrt(8.0) * feed.sigma[0, 0] * normal(11, "more", 0, 40_000, 1)[:, 0]
         block = feed.into(pipeline)
         status = pipeline.status().gyro
         np.testing.assert_allclose(status.sigma / feed.sigma[0], [1, 1, 1, 1, 3, 1], rtol=0.25)
         assert status.sigma[4] / feed.sigma[0, 4] == pytest.approx(3.0, rel=0.08)
         told = [(e.index, e.stamp_ns // DT, e.text) for e in pipeline.drain_events() if "times the stated" in e.text]
-        assert len(told) == 1 and told[0][:2] == (4, 2000) and told[0][2].startswith("gyro_4: noise is ")
-        late = slice(2000, None)
+        assert len(told) == 1 and told[0][:2] == (4, 8000) and told[0][2].startswith("gyro_4: noise is ")
+        late = slice(8000, None)
         rates.append(np.mean(block.gyro_statistic[late] > status.threshold))
         used = block.gyro_used[late] == ALL
         error = (block.rate - RATE)[late][used]
         covariance = pipeline.rate_covariance(ALL) + block.gyro_excess[late][used]
         nees = np.mean(np.einsum("ki,kij,kj->k", error, np.linalg.inv(covariance), error))
-        assert np.array_equal(block.gyro_excess[:1990], np.zeros((1990, 3, 3)))
+        assert np.array_equal(block.gyro_excess[:7990], np.zeros((7990, 3, 3)))
         assert (abs(nees - 3.0) < 0.2) == adapt
     assert rates[0] > 0.05 and rates[1] == pytest.approx(2e-3, rel=0.6)
 
 
 def test_an_isolated_noisy_sensor_comes_back_with_its_weight() -> None:
-    config = replace(NOISE, adapt_noise=True, health=SHORT)
-    feed, pipeline = Feed(9000, config), FusionPipeline(config)
-    feed.accel[:, 1] += np.sqrt(24.0) * feed.sigma[1, 0] * normal(12, "more", 0, 9000, 1)[:, 0]
+    config = replace(NOISE, adapt_noise=True, health=SHORT, false_alarm_probability=1e-6)
+    feed, pipeline = Feed(20_000, config), FusionPipeline(config)
+    feed.accel[:, 1] += np.sqrt(15.0) * feed.sigma[1, 0] * normal(12, "more", 0, 20_000, 1)[:, 0]
     block = feed.into(pipeline)
     used = block.accel_used >> np.uint64(1) & np.uint64(1)
-    assert used[1000:2000].mean() < 0.5 and used[5000:].mean() > 0.9
+    assert used[4000:8000].mean() < 0.5 and used[16_000:].mean() > 0.99  # the hold had grown
 
 
 def test_noise_is_not_told_from_five_sensors_and_not_estimated_when_not_wanted() -> None:
-    feed, pipeline = Feed(5000, NOISE), FusionPipeline(NOISE)
+    feed, pipeline = Feed(10_000, NOISE), FusionPipeline(NOISE)
     feed.gyro[:, 0] = np.nan
     feed.into(pipeline)
     assert np.isnan(pipeline.status().gyro.sigma).all() and np.isfinite(pipeline.status().accel.sigma).all()
