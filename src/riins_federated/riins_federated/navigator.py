@@ -70,8 +70,8 @@ class Navigator:
         self._log.new_run()
         self._checkpoints: list[Checkpoint] = []
         self._due = Due(0, 0, 0, 0)
-        self._dropped_samples = self._dropped_items = 0  # so that indices stay true when the oldest go
-        self._sample = self._cursor = 0  # the first not yet worked
+        self._dropped_samples = 0  # so that indices stay true when the oldest go
+        self._sample = 0  # the first not yet worked
 
     # ---- input ----
 
@@ -264,7 +264,7 @@ class Navigator:
         """The IMU stamp has jumped: settle what was, and wait for an initial state near the new stamp."""
         self._advance()
         self._log.settle()
-        waiting = [self._queue[i] for i in range(self._cursor - self._dropped_items, len(self._queue))]
+        waiting = self._queue.waiting()
         self._filter.stop()
         self._clear()
         self._last_ns = self._last_sequence = None
@@ -289,7 +289,7 @@ class Navigator:
 
     def _return_to(self, point: Checkpoint) -> None:
         self._filter.restore(point.filter)
-        self._sample, self._cursor, self._due = point.sample, point.cursor, point.due
+        self._sample, self._queue.cursor, self._due = point.sample, point.cursor, point.due
         self._log.truncate(point.journal)
 
     def _advance(self) -> None:
@@ -299,10 +299,7 @@ class Navigator:
         imu, queue = self._imu, self._queue
         k = self._sample - self._dropped_samples
         while k < len(imu):
-            cursor = self._cursor - self._dropped_items
-            due = self._due.first()
-            if cursor < len(queue):
-                due = min(due, queue[cursor].stamp_ns)
+            due = min(self._due.first(), queue.head_ns())
             stop = min(max(int(np.searchsorted(imu.stamp, due)), k), len(imu) - 1)
             part = slice(k, stop + 1)
             self._filter.integrate(
@@ -331,13 +328,12 @@ class Navigator:
         self._filter.start(initial)
         for later in fitting[1:] + [known for known in self._initials if known.stamp_ns >= stamps[-1]]:
             self._queue.add(later.stamp_ns, RANK_INITIAL, later)
-        while self._cursor - self._dropped_items < len(self._queue) and self._queue[self._cursor - self._dropped_items].stamp_ns <= initial.stamp_ns:
-            _, rank, item = self._queue[self._cursor - self._dropped_items]
+        while self._queue.head_ns() <= initial.stamp_ns:
+            _, rank, item = self._queue.take()
             if isinstance(item, Aid):
                 self._filter.subfilters[rank].refuse(Reason.NOT_READY)
             elif isinstance(item, UseCommand):
                 self._filter.subfilters[self._rank[item.name]].use(item.stamp_ns, item.use)
-            self._cursor += 1
         self._due = self._period.after(initial.stamp_ns)
         self._log.begun(initial)
         self._checkpoints = [self._checkpoint(initial.stamp_ns)]
@@ -349,11 +345,8 @@ class Navigator:
         flt.propagate()
         due = replace(due, covariance=stamp_ns + period.covariance)
         corrected = False
-        while self._cursor - self._dropped_items < len(self._queue):
-            stamp, rank, item = self._queue[self._cursor - self._dropped_items]
-            if stamp > stamp_ns:
-                break
-            self._cursor += 1
+        while self._queue.head_ns() <= stamp_ns:
+            stamp, rank, item = self._queue.take()
             if isinstance(item, Aid) and stamp <= flt.started_ns:
                 flt.subfilters[rank].refuse(Reason.NOT_READY)
             elif isinstance(item, Aid):
@@ -406,7 +399,7 @@ class Navigator:
         self._log.begun(initial, again=True)
 
     def _checkpoint(self, stamp_ns: int) -> Checkpoint:
-        return Checkpoint(stamp_ns, self._sample, self._cursor, len(self._log), self._due, self._filter.snapshot())
+        return Checkpoint(stamp_ns, self._sample, self._queue.cursor, len(self._log), self._due, self._filter.snapshot())
 
     def _trim(self) -> None:
         """Forget what no measurement can bring back."""
@@ -419,9 +412,7 @@ class Navigator:
         del self._checkpoints[:keep]
         oldest = self._checkpoints[0]
         self._drop_samples(oldest.sample - self._dropped_samples)
-        gone = oldest.cursor - self._dropped_items
-        self._queue.drop(gone)
-        self._dropped_items += gone
+        self._queue.drop(oldest.cursor)
 
     def _drop_samples(self, n: int) -> None:
         self._imu.drop(n)

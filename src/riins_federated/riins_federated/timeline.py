@@ -111,11 +111,18 @@ class Timed(NamedTuple):
 
 
 class EventQueue:
-    """Everything that happens at a measurement time, in an order that does not depend on arrival."""
+    """Everything that happens at a measurement time, in an order that does not depend on arrival.
+
+    Attributes
+    ----------
+    cursor : number of the first item that is not yet worked, counted from the beginning of the run
+    """
 
     def __init__(self) -> None:
         self._items: list[Timed] = []
         self._keys: set[tuple[int, int]] = set()
+        self._dropped = 0
+        self.cursor = 0
 
     def __len__(self) -> int:
         return len(self._items)
@@ -128,18 +135,26 @@ class EventQueue:
         self._keys.add((stamp_ns, rank))
         return True
 
-    def index_after(self, stamp_ns: int) -> int:
-        """Index of the first item later than a stamp."""
-        return bisect.bisect_right(self._items, stamp_ns, key=lambda t: t.stamp_ns)
+    def head_ns(self) -> int:
+        """Stamp of the first item that is not yet worked; NEVER_NS when there is none."""
+        index = self.cursor - self._dropped
+        return self._items[index].stamp_ns if index < len(self._items) else NEVER_NS
 
-    def __getitem__(self, index: int) -> Timed:
-        return self._items[index]
+    def take(self) -> Timed:
+        """The first item that is not yet worked, which now is."""
+        self.cursor += 1
+        return self._items[self.cursor - 1 - self._dropped]
 
-    def drop(self, n: int) -> list[Timed]:
-        """Remove and return the n oldest."""
-        gone, self._items = self._items[:n], self._items[n:]
-        self._keys.difference_update((t.stamp_ns, t.rank) for t in gone)
-        return gone
+    def waiting(self) -> list[Timed]:
+        """What is not yet worked."""
+        return self._items[self.cursor - self._dropped :]
+
+    def drop(self, cursor: int) -> None:
+        """Forget the items before a cursor."""
+        n = cursor - self._dropped
+        self._keys.difference_update((t.stamp_ns, t.rank) for t in self._items[:n])
+        del self._items[:n]
+        self._dropped = cursor
 
 
 class Journal:
