@@ -21,6 +21,7 @@ from riins_eval import offline
 
 EXECUTABLES = {
     "imu_fusion": "riins_imu_fusion",
+    "imu_array": "riins_imu_fusion",
     "navigator": "riins_federated",
     "recorder": "riins_bag",
     "player": "riins_bag",
@@ -30,8 +31,9 @@ EXECUTABLES = {
     "doppler": "riins_sim",
     "truth": "riins_sim",
 }
-MISSPELT = {"imu_fusion": "gyro_sgma", "navigator": "max_dela_s", "recorder": "pth", "player": "rat"}  # the simulated sensors: scenari
-NEAREST = {"imu_fusion": "gyro_sigma", "navigator": "max_delay_s", "recorder": "path", "player": "rate"}
+# the simulated sensors: scenari
+MISSPELT = {"imu_fusion": "gyro_sgma", "imu_array": "gyro_sgma", "navigator": "max_dela_s", "recorder": "pth", "player": "rat"}
+NEAREST = {"imu_fusion": "gyro_sigma", "imu_array": "gyro_sigma", "navigator": "max_delay_s", "recorder": "path", "player": "rate"}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,8 @@ def raw_bag(scenario) -> Path:
 def every_node(scenario: Path, bag: Path, record: Path) -> list[NodeSpec]:
     ship = build_graph(GraphSettings(scenario=str(scenario), record=str(record)))
     player = build_graph(GraphSettings(bag=str(bag))).node("player")
-    return [*ship.nodes, NodeSpec("riins_bag", "player", "player", "source", {**player.parameters, "loop": True}, publishes=("rimu/raw",))]
+    array = NodeSpec("riins_imu_fusion", "imu_array", "imu_array", subscribes=("imu_0/raw",), publishes=("rimu/fusion_parameters",))
+    return [*ship.nodes, array, NodeSpec("riins_bag", "player", "player", "source", {**player.parameters, "loop": True}, publishes=("rimu/raw",))]
 
 
 @pytest.mark.parametrize(
@@ -137,6 +140,7 @@ def test_unknown_parameter_is_refused_with_the_nearest_name(tmp_path):
 def test_wrong_type_or_range_is_refused(tmp_path):
     wrong = {
         "imu_fusion": ["-p", "status_period_s:=-1.0"],
+        "imu_array": ["-p", "topics:=['a', 'a']"],
         "navigator": ["-p", "gps.sigma_m:=[1.0, 2.0]"],
         "recorder": ["-p", "flush_period_s:=soon"],
         "player": ["-p", "rate:=0.0"],
