@@ -13,7 +13,7 @@ from riins_core.jit import inner, jit
 from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn
 from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
 from riins_imu_fusion.judges import DIRECT, GLT, SVD, blame_unit, compare, explain_parity, largest, quadratic, resolve
-from riins_imu_fusion.noise_watch import gather
+from riins_imu_fusion.noise_watch import OF, RUN, gather
 from riins_imu_fusion.samples import check_axes, judge_out, judge_used, note_past, note_sequence, remember, wake_up
 from riins_imu_fusion.sequences import NONE as NO_SEQUENCE
 from riins_imu_fusion.sequences import feed
@@ -229,9 +229,10 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                         code |= EVENT
                 elif doubt[kind] == 1 and t - doubt_last[kind] > rules.doubt_time:
                     code |= EVENT
-            if rules.noise:
-                gather(0, counts[FUSED], st.valid[0], z, st.noise)
-                gather(1, counts[FUSED], st.valid[1], z, st.noise)
+            turn = counts[FUSED] % OF
+            if rules.noise and turn < RUN:
+                gather(0, turn, st.valid[0], z, st.noise)
+                gather(1, turn, st.valid[1], z, st.noise)
             if grid > 0:
                 note_past(t, grid, nominal, used[0], used[1], clean, place_past, end, last, span, used_past, total)
             output.stamp[o] = t

@@ -37,11 +37,8 @@ class NoiseSettings:
 
 
 @inner
-def gather(kind: int, number: int, valid: np.uint64, z: F, st: NoiseState) -> None:
-    """Take in a sample (2, n) by its number, if its turn has come; another set of sensors than the one worked with breaks the run of samples."""
-    turn = number % OF
-    if turn >= RUN:
-        return
+def gather(kind: int, turn: int, valid: np.uint64, z: F, st: NoiseState) -> None:
+    """Take in sample number `turn` (2, n) of a run; another set of sensors than the one worked with breaks it."""
     if turn == 0 or valid != st.key[kind]:
         st.number[kind, 0] = 0.0
     if valid == st.key[kind]:
