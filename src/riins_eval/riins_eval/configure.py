@@ -65,6 +65,7 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
             "accel_bias_ug": math.hypot(accel.bias_ug, accel.markov_bias_ug) * fused,
             "accel_vrw_ug_sqrt_hz": max(accel.vrw_ug_sqrt_hz * fused, 1e-3),
             "accel_bias_walk_ug_sqrt_h": accel.random_walk_ug_sqrt_h * fused,
+            "bias_steps": fusion_config(scenario).method != "glr_kf",
         },
         "doppler": {
             "enabled": log.enabled,

@@ -23,6 +23,7 @@ class InertialModel:
     accel_bias_ug: float = setting(50.0, "sigma of the constant accelerometer bias", "ug", 0.0, 1e6)
     accel_vrw_ug_sqrt_hz: float = setting(10.0, "velocity random walk, as noise density", "ug/sqrt(Hz)", 1e-9, 1e6)
     follow_covariance: bool = setting(True, "where the covariance of fused samples exceeds this model, as after an isolation, it is believed")
+    bias_steps: bool = setting(True, "the fused bias steps when other sensors are fused, as with wls; glr_kf has learned the biases and keeps it")
     accel_bias_walk_ug_sqrt_h: float = setting(0.0, "random walk of the accelerometer bias", "ug/sqrt(h)", 0.0, 1e6)
 
 

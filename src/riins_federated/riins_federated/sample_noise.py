@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from riins_core.ins_error import BA, BG, PHI, VEL
 from riins_core.jit import jit
+from riins_core.sensor_errors import DEG_PER_H, MICRO_G
 
 from .config import NavigatorConfig
-from .error_filter import BA, BG, DEG_H, MICRO_G, PHI, VEL, ProcessNoise
+from .error_filter import ProcessNoise
 from .types import Array
 
 SUM, LAST, STEP = 0, 1, 2
@@ -34,9 +36,9 @@ class SampleNoise:
 
     def __init__(self, config: NavigatorConfig) -> None:
         model, density = config.inertial, ProcessNoise(config).density
-        self._follow = model.follow_covariance
+        self._follow, self._steps = model.follow_covariance, model.bias_steps
         self._density = np.array([density[PHI][0], density[VEL][0]])
-        self._bias = np.array([model.gyro_bias_deg_h * DEG_H, model.accel_bias_ug * MICRO_G]) ** 2 / self._density
+        self._bias = np.array([model.gyro_bias_deg_h * DEG_PER_H, model.accel_bias_ug * MICRO_G]) ** 2 / self._density
         self._state = self.fresh()
 
     @staticmethod
@@ -59,7 +61,7 @@ class SampleNoise:
             excess = state[kind, SUM] - self._density[kind] * interval * np.eye(3)
             if np.abs(excess).max() > small * interval:
                 Qd[white, white] += C_nb @ _positive(excess) @ C_nb.T
-            if np.abs(state[kind, STEP]).max() > small:
+            if self._steps and np.abs(state[kind, STEP]).max() > small:
                 Qd[bias, bias] += self._bias[kind] * _positive(state[kind, STEP])
         state[:, (SUM, STEP)] = 0.0
 

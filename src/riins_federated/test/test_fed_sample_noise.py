@@ -53,6 +53,7 @@ def test_a_sensor_that_leaves_adds_white_noise_and_a_step_of_the_bias() -> None:
     assert Qd[PHI, PHI] == pytest.approx(C_NB @ (70 * DT**2 * lost) @ C_NB.T, rel=1e-9, abs=1e-25)
     bias = np.radians(0.035) / 3600.0
     assert Qd[BG, BG] == pytest.approx(bias**2 * lost * DT / density[PHI][0], rel=1e-9, abs=1e-25)
+    assert not gathered(SampleNoise(config(inertial={"bias_steps": False})), gyro, accel)[BG, BG].any()  # fused by glr_kf
     assert np.trace(Qd[BG, BG]) == pytest.approx(bias**2)  # 6 -> 5 of a dodecahedron: one direction has lost as much as it had
     assert not Qd[VEL, VEL].any() and not Qd[BA, BA].any()
     assert np.array_equal(Qd, gathered(noise, gyro, accel, (1, 29, 30, 31, 77)))  # law 3
