@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from riins_fdi.health import ALWAYS_NS, IN_USE, NEVER_NS, Change, HealthMachine, HealthState
 from riins_fdi.parity import Capability
 from riins_imu_fusion import state as K
+from riins_imu_fusion.commanded import Commanded
 from riins_imu_fusion.config import KINDS, FusionConfig
 from riins_imu_fusion.drifts import removed
 from riins_imu_fusion.glr_kf_state import CHANGED, LONG
@@ -20,15 +21,15 @@ from riins_imu_fusion.known_bias import Calibration
 from riins_imu_fusion.recall import Recaller
 from riins_imu_fusion.running import Methods
 from riins_imu_fusion.samples import note_sequence
-from riins_imu_fusion.selection import Commands, Selection, UseSensor, refusal
+from riins_imu_fusion.selection import Selection
 from riins_imu_fusion.sequences import forget
 from riins_imu_fusion.status import Health, fused_block, health_of, triad_status
-from riins_imu_fusion.types import REASON_WORDS, CommandResult, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
+from riins_imu_fusion.types import REASON_WORDS, Counters, FdiEvent, FdiStatus, FusedBlock, Reason, Recall, TriadStatus
 
 Array = NDArray[np.float64]
 
 
-class FusionPipeline:
+class FusionPipeline(Commanded):
     """Fusion of the healthy sensors by the method selected, tests that detect faults, and one health machine for each sensor.
 
     Parameters
@@ -47,7 +48,8 @@ class FusionPipeline:
     def __init__(self, config: FusionConfig, statuses: bool = False) -> None:
         self.config = config
         self.array = config.array()
-        self.n = n = self.array.n
+        n = self.array.n
+        super().__init__(n)
         self._statuses_wanted = statuses
         self._methods = Methods(config, round(config.status_period_s * 1e9) if statuses else 0)
         self._state = self._methods.fresh()
@@ -55,8 +57,6 @@ class FusionPipeline:
         self._recalls: list[Recall] = []
         self._machines = [[HealthMachine(config.health, Reason.RECOVERED) for _ in range(n)] for _ in KINDS]
         self._health: list[Health | None] = [None, None]
-        self._commands = Commands()
-        self._commands_refused = self._calibrations_refused = 0
         self._events: list[FdiEvent] = []
         self._statuses: list[FdiStatus] = []
         self._text: list[str] = []
@@ -131,84 +131,6 @@ class FusionPipeline:
         if not 0 <= stamp_ns - self._length_event_ns < 1_000_000_000:  # one event a second, whatever the rate
             self._length_event_ns = stamp_ns
             self._tell(stamp_ns, "stream", -1, None, Reason.NONE, f"rejected: {gyros} gyros and {accels} accelerometers instead of {self.n} each")
-
-    def set_sensor_use(self, target: str, use: bool, effective_ns: int = 0) -> CommandResult:
-        """Exclude a sensor on the operator's word, or let it return through probation.
-
-        Parameters
-        ----------
-        target : gyro_0, accel_5, ...
-        use : False: exclude; True: restore
-        effective_ns : holds from the first sample with this stamp or a later one; 0: from the next sample on
-
-        Returns
-        -------
-        CommandResult; refused and counted for an unknown target or a stamp that has passed
-        """
-        command = UseSensor.of(target, use, self.n)
-        if command is None:
-            return self._refuse(f'no sensor "{target}": gyro_0 .. gyro_{self.n - 1}, accel_0 .. accel_{self.n - 1}')
-        effective_ns, when = self._due(effective_ns)
-        if when.startswith("passed"):
-            return self._refuse(f"{target}: the effective stamp {when}")
-        self._put(effective_ns, command)
-        return CommandResult(True, effective_ns, f"{target}: {'probation' if use else 'excluded'} from {when} on")
-
-    def set_method(
-        self, fusion: str = "", parity_test: str = "", sequential_test: str = "", adapt_noise: bool = False, effective_ns: int = 0
-    ) -> CommandResult:  # fmt: skip
-        """Fuse and judge with other methods.
-
-        Parameters
-        ----------
-        fusion, parity_test, sequential_test : names as in `FusionConfig`; empty: stays
-        adapt_noise : the noise estimated while running is used
-        effective_ns : holds from the first sample with this stamp or a later one; 0: from the next sample on
-
-        Returns
-        -------
-        CommandResult; refused and counted for an unknown name or a stamp that has passed. `selected` says what will hold
-        """
-        if problem := refusal(fusion, parity_test, sequential_test):
-            return self._refuse(problem)
-        effective_ns, when = self._due(effective_ns)
-        if when.startswith("passed"):
-            return self._refuse(f"method: the effective stamp {when}")
-        now = self.selected(effective_ns)
-        chosen = Selection(fusion or now.fusion, parity_test or now.parity_test, sequential_test or now.sequential_test, adapt_noise)
-        self._put(effective_ns, chosen)
-        return CommandResult(True, effective_ns, f"{chosen.text()} from {when} on")
-
-    def add_calibration(
-        self, effective_ns: int, gyro_bias: ArrayLike, gyro_covariance: ArrayLike, accel_bias: ArrayLike, accel_covariance: ArrayLike
-    ) -> CommandResult:  # fmt: skip
-        """Take what a navigator says of the bias of the fused output; see known_bias for what it is used for.
-
-        Parameters
-        ----------
-        effective_ns : holds from the first sample with this stamp or a later one
-        gyro_bias, accel_bias : (3,), rad/s, m/s^2, FRD
-        gyro_covariance, accel_covariance : (3, 3)
-
-        Returns
-        -------
-        CommandResult; refused and counted when its stamp has passed, a value is not finite or a covariance is not positive definite
-        """
-        calibration = Calibration(
-            np.array([gyro_bias, accel_bias], np.float64).reshape(2, 3), np.array([gyro_covariance, accel_covariance], np.float64).reshape(2, 3, 3)
-        )
-        problem, when = calibration.problem(), self._due(effective_ns)[1] if effective_ns else "passed: it has none"
-        problem = problem or (f"the effective stamp {when}" if when.startswith("passed") else "")
-        if problem:
-            self._calibrations_refused += 1
-            self._tell(self.last_stamp_ns or 0, "command", -1, None, Reason.OPERATOR, f"calibration refused: {problem}")
-            return CommandResult(False, 0, problem)
-        self._put(effective_ns, calibration)
-        return CommandResult(True, effective_ns, f"calibration from {when} on")
-
-    def selected(self, effective_ns: int | None = None) -> Selection:
-        """Methods in force, or those that will be at a stamp as far as they have been commanded."""
-        return self._methods.selection if effective_ns is None else self._commands.selection(effective_ns, self._methods.selection)
 
     def status(self) -> FdiStatus:
         """State after the last sample."""
@@ -394,25 +316,6 @@ class FusionPipeline:
                         self._refresh(kind, index)
                         self._changed(kind, index, change)
         self._tell(stamp_ns, "command", -1, None, Reason.OPERATOR, f"method: {selection.text()}")
-
-    def _due(self, effective_ns: int) -> tuple[int, str]:
-        """Stamp from which a command holds, and in words; the words begin with "passed" when that time has."""
-        last = self.last_stamp_ns
-        if effective_ns == 0:
-            return (ALWAYS_NS if last is None else last + 1), "the next sample"
-        if last is not None and effective_ns <= last:
-            return effective_ns, f"passed {(last - effective_ns) * 1e-9:.3f} s ago"
-        return effective_ns, "the next sample" if effective_ns == (last or 0) + 1 else f"{effective_ns * 1e-9:.3f} s"
-
-    def _put(self, effective_ns: int, command: UseSensor | Selection) -> None:
-        self._commands.put(effective_ns, command)
-        self._state.clock[K.NEXT_COMMAND] = min(int(self._state.clock[K.NEXT_COMMAND]), effective_ns)
-
-    def _refuse(self, message: str) -> CommandResult:
-        self._commands_refused += 1
-        stamp = self.last_stamp_ns or 0
-        self._tell(stamp, "command", -1, None, Reason.OPERATOR, f"refused: {message}")
-        return CommandResult(False, 0, message)
 
     def _tell(self, stamp_ns: int, kind: str, index: int, state: HealthState | None, reason: int, text: str) -> None:
         self._events.append(FdiEvent(stamp_ns, kind, index, state, int(reason), text))
