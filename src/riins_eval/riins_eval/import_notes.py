@@ -89,7 +89,7 @@ def _several_notes(recording: NpzRecording, scenario: Scenario) -> list[str]:
     config = configure.fusion_config(scenario)
     gyro, accel = np.degrees(config.gyro_sigma), config.accel_sigma
     notes.append(
-        f"Noise of a sample as found, coloured: gyros {min(gyro):.2g} .. {max(gyro):.2g} deg/s, "
+        f"Noise told to the fusion, the real one is coloured: gyros {min(gyro):.2g} .. {max(gyro):.2g} deg/s, "
         f"accelerometers {min(accel):.2g} .. {max(accel):.2g} m/s^2; "
         f"turn-on biases assumed: {np.degrees(config.gyro_bias_sigma):.2g} deg/s, {config.accel_bias_sigma:.2g} m/s^2."
     )

@@ -22,7 +22,7 @@ from riins_sim.scenario import Scenario
 
 from . import configure
 from .npz_recording import ImportFailure, NpzRecording
-from .several_imus import RecordingSettings, Stacked
+from .several_imus import BANDWIDTH, RecordingSettings, Stacked
 
 SURFACE_RANGE_M = 10.0
 """A vehicle whose height stays within this is taken for a ship, which keeps to its mean height."""
@@ -40,6 +40,8 @@ SMALL_IMU_INITIAL = {"tilt_arcsec": 3600.0, "heading_arcmin": 120.0}
 """Start of a vehicle with several small IMUs: its reference and its IMUs are aligned to a degree or so."""
 VIBRATION = 5.0
 """Noise of a vibrating small IMU, common to all and so not seen in their differences, over that in their differences."""
+COMMON_BIAS = 4.0
+"""Sigma of the bias that small gyros of one make have in common, which no comparison shows, over the turn-on bias of each (seen: 1.4 deg/s of .3)."""
 GNSS_FLOOR_M = 0.3
 """Of a recorded receiver: what delay and lever arm make of its centimetres on a vehicle that manoeuvres."""
 LOG_FLOOR_MPS = 0.05
@@ -130,10 +132,12 @@ def import_scenario(
 
 
 def _fusion(several: Stacked, settings: RecordingSettings) -> dict[str, Any]:
+    """What the fusion is told: the white noise whose sums grow as those of the low-passed noise do."""
+    white = float(np.sqrt(max(1.0, several.rate_hz / (2.0 * BANDWIDTH * several.lowpass_hz)))) if several.lowpass_hz else 1.0
     return {
         "geometry": frd_to_flu(several.axes).ravel().tolist(),
-        "gyro_sigma": several.gyro_sigma.tolist(),
-        "accel_sigma": several.accel_sigma.tolist(),
+        "gyro_sigma": (white * several.gyro_sigma).tolist(),
+        "accel_sigma": (white * several.accel_sigma).tolist(),
         "gyro_bias_sigma": float(np.radians(settings.gyro_turn_on_deg_s)),
         "accel_bias_sigma": settings.accel_turn_on_mps2,
         "gyro_limit": 0.0,  # their ranges are not known
@@ -148,11 +152,11 @@ def _inertial(several: Stacked, settings: RecordingSettings) -> dict[str, Any]:
     # slow noise of the sensors is as long as the low-pass, not one sample
     length = np.sqrt(0.5 / several.lowpass_hz if several.lowpass_hz else 1.0 / n)
     return {
-        "gyro_bias_deg_h": settings.gyro_turn_on_deg_s * 3600.0 * fused,
+        "gyro_bias_deg_h": COMMON_BIAS * settings.gyro_turn_on_deg_s * 3600.0,
         "gyro_markov_deg_h": 0.5 * settings.gyro_turn_on_deg_s * 3600.0 * fused,
         "gyro_markov_time_s": 60.0,
         "gyro_arw_deg_sqrt_h": float(VIBRATION * np.degrees(gyro) * length * 60.0),
-        "accel_bias_ug": settings.accel_turn_on_mps2 / STANDARD_GRAVITY * 1e6 * fused,
+        "accel_bias_ug": settings.accel_turn_on_mps2 / STANDARD_GRAVITY * 1e6,
         "accel_vrw_ug_sqrt_hz": VIBRATION * accel / STANDARD_GRAVITY * 1e6 * float(length),
         "accel_bias_walk_ug_sqrt_h": 3.0 * settings.accel_turn_on_mps2 / STANDARD_GRAVITY * 1e6 * fused,
     }

@@ -25,6 +25,8 @@ FIT_RATE_HZ = 100.0
 LARGEST_OFFSET_S = 2.0
 COMMON_OVER_OWN = 10.0
 """The low-pass ends where what the IMUs share is no longer this much stronger than what each has of its own."""
+BANDWIDTH = 1.11
+"""Of white noise that the low-pass lets through, over its cut-off."""
 SAMPLES_A_CYCLE = 8.0
 """Samples kept in a period of the low-pass: more would only say the same again."""
 STUCK = 10
