@@ -31,18 +31,23 @@ from riins_sim.scenario import Scenario, load
 
 Array = NDArray[np.float64]
 
-METHODS = ("wls", "glr_kf")
+METHODS = {
+    "wls": {"method": "wls"},
+    "wls, sequential glr": {"method": "wls", "sequential_test": "glr"},
+    "glr_kf": {"method": "glr_kf"},
+}
+LIVE = ("wls", "glr_kf")
 AIM = 1.1
 """Error over that of the fault-free twin."""
 KINDS = ("position", "velocity", "heading", "tilt")
 ARCMIN = np.degrees(1.0) * 60.0
-COLORS = {"wls": "#b45309", "glr_kf": "#0f766e"}
+COLORS = {"wls": "#b45309", "wls, sequential glr": "#7c3aed", "glr_kf": "#0f766e"}
 
 
 def with_method(method: str) -> Scenario:
-    """The scenario with one method of fusion."""
+    """The scenario with one of `METHODS`."""
     scenario = load("three_faults")
-    return dataclasses.replace(scenario, fusion=merged(scenario.fusion, {"method": method}))
+    return dataclasses.replace(scenario, fusion=merged(scenario.fusion, METHODS[method]))
 
 
 def errors(track: Track, truth: Track) -> dict[str, Array]:
@@ -206,7 +211,7 @@ def main() -> int:
         missed += judge(runs, method, console)
     if given.live:
         shutil.rmtree(given.out, ignore_errors=True)
-        for method in METHODS:
+        for method in LIVE:
             record, score, lost = live(method, given.out, console)
             shown[method], kept = record, figures(record, score)
             text = ", ".join(f"{kind} {kept['twin'][kind]:.3f}" for kind in KINDS)

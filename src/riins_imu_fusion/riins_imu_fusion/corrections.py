@@ -15,7 +15,7 @@ from riins_imu_fusion.glr_kf_kernel import hold, other_set, step
 
 # isort: off
 from riins_imu_fusion.glr_kf_state import (
-    ACTIVE, CALL, CHANGED, COV, NONE, OPEN, REMOVED, STATE, USED, GlrRules, GlrState, X,
+    ACTIVE, CALL, CHANGED, COV, NONE, OPEN, REMOVED, STATE, USED, GlrRules, GlrState, I, X,
 )  # fmt: skip
 
 # isort: on
@@ -28,12 +28,12 @@ FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC
 
 
 @inner
-def known(kind: int, glr: GlrState, z: F, tested: F) -> None:
+def known(kind: int, ints: I, vec: F, z: F, tested: F) -> None:
     """Measurements without the drifts that glr_kf knew before this sample; those of opt, aopt and optdc stay in: they answer for no threshold."""
     for i in range(z.shape[1]):
         tested[kind, i] = z[kind, i]
-        if glr.ints[ACTIVE] == 1 and glr.vec[USED, i] > 0.0:
-            tested[kind, i] -= glr.vec[X, i]
+        if ints[ACTIVE] == 1 and vec[USED, i] > 0.0:
+            tested[kind, i] -= vec[X, i]
 
 
 @inner
@@ -82,12 +82,11 @@ def learn(
     kind: int, alarm: int, dof: int, member: F, z: F, glr: GlrState, rules: GlrRules, clean: F, drift: F
 ) -> bool:  # fmt: skip
     """Let the filter see the sample and take the drifts from it; True: it asks for an answer, or a sensor was closed or found dead."""
-    n, rows = z.shape[1], glr.V.shape[0]
+    n = z.shape[1]
     if alarm != QUIET or dof < 1:
         hold(glr)  # not even the sensors in use agree: nothing to learn
     elif not other_set(glr, rules, member):
-        nu, t, S, u = np.empty(rows), np.empty(rows), np.empty((rows, rows)), np.empty((rows, n))
-        step(z[kind], glr, rules, nu, S, u, t)
+        step(z[kind], glr, rules)
     if glr.ints[ACTIVE] == 0:
         return bool(glr.ints[CALL] != NONE)
     for i in range(n):

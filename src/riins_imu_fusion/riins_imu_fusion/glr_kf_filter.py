@@ -47,14 +47,17 @@ def absorb(V: F, d: int, p: F, variance: float, x: F, P: F, C: F, total: F) -> N
         s = variance
         e = p[r]
         for i in range(n):
-            a = 0.0
+            Ph[i] = 0.0
+        for j in range(n):  # P is symmetric: row by row, a processor takes several columns at once
+            v = V[r, j]
+            for i in range(n):
+                Ph[i] += P[j, i] * v
+        for i in range(n):
             b = 0.0
             for j in range(n):
-                a += P[i, j] * V[r, j]
                 b += C[i, j] * V[r, j]
-            Ph[i] = a
             Ch[i] = b
-            s += V[r, i] * a
+            s += V[r, i] * Ph[i]
             e -= V[r, i] * x[i]
         g = 1.0 / s
         for i in range(n):
@@ -63,6 +66,7 @@ def absorb(V: F, d: int, p: F, variance: float, x: F, P: F, C: F, total: F) -> N
             total[i] += Ch[i] * g * e
             for j in range(i + 1):
                 P[i, j] -= k * Ph[j]
+            for j in range(i):
                 P[j, i] = P[i, j]
             k = Ch[i] * g
             for j in range(n):

@@ -11,6 +11,7 @@ import numpy as np
 
 from riins_core.jit import inner, jit
 from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn
+from riins_imu_fusion.glr_kf_kernel import add_only
 from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
 from riins_imu_fusion.judges import DIRECT, GLT, SVD, blame_unit, compare, explain_parity, largest, quadratic, resolve
 from riins_imu_fusion.noise_watch import OF, RUN, gather
@@ -126,7 +127,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             statistic[kind] = np.nan
             dof = dofs[kind, place]
             solved &= dof >= 0
-            known(kind, st.glr[kind], z, tested)
+            known(kind, st.glr[kind].ints, st.glr[kind].vec, z, tested)
             if dof < 1:
                 continue
             if rules.test == GLT or rules.test == SVD:
@@ -198,7 +199,10 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     )  # fmt: skip
                 elif rules.fusion == GLR_KF:
                     glr, first = st.glr[kind], slot[kind]  # the filter learns only where nobody was left out: then both slots are one
-                    if learn(
+                    simple = alarm[kind] == QUIET and dofs[kind, first] > 0
+                    if simple and add_only(z[kind], tb.member[kind, first], rules.glr[kind].batch, glr.V, glr.ints, glr.vec, glr.par):
+                        pass
+                    elif learn(
                         kind, alarm[kind], dofs[kind, first], tb.member[kind, first], z, glr, rules.glr[kind], clean,
                         output.drift[kind, o],
                     ):  # fmt: skip
