@@ -153,7 +153,8 @@ def noise_input(C_nb: ArrayLike) -> Array:
 
 
 @jit
-def _correct(nav: Array, x: Array, turn: Array) -> None:
+def correct_into(nav: Array, x: Array, turn: Array) -> None:
+    """`correct` for kernels: nothing is checked, `turn` (3, 3) is work space."""
     r_m, r_n = radii_s(nav[0])
     m, n = r_m + nav[2], r_n + nav[2]
     nav[1] -= x[1] / (n * math.cos(nav[0]))
@@ -178,7 +179,7 @@ def correct(nav: Array, x: ArrayLike) -> None:
     """
     if nav.shape != (NAV_SIZE,):
         raise ValueError(f"a navigation state has {NAV_SIZE} elements, not {nav.shape}")
-    _correct(nav, np.ascontiguousarray(x, dtype=np.float64), np.empty((3, 3)))
+    correct_into(nav, np.ascontiguousarray(x, dtype=np.float64), np.empty((3, 3)))
 
 
 def difference(nav: Array, true: Array) -> Array:

@@ -14,7 +14,19 @@ from numpy.typing import NDArray
 
 from riins_core import frames
 from riins_core.rotation import euler_from_dcm, skew
-from riins_node.fields import BASE, MAP, MAP_NED, STATUS_FIX, STATUS_NO_FIX, header, position_fix, quaternion, vector
+from riins_node.fields import (
+    BASE,
+    MAP,
+    MAP_NED,
+    STATUS_FIX,
+    STATUS_NO_FIX,
+    euler_covariance,
+    header,
+    position_fix,
+    quaternion,
+    sigmas,
+    vector,
+)
 from riins_sim.trajectory import Truth
 
 from .run_record import Stamps, Track
@@ -76,8 +88,7 @@ def nav_states(
         "reset_velocity": reset[:, 1],
         "reset_heading": reset[:, 2],
     }
-    sigma = np.sqrt(np.maximum(np.einsum("kii->ki", P), 0.0))
-    sigma_euler = _euler_sigmas(roll, pitch, heading, P[:, 6:9, 6:9])
+    sigma, sigma_euler = sigmas(P), sigmas(euler_covariance(roll, pitch, heading, P[:, 6:9, 6:9]))
     triples: list[tuple[str, str, Floats]] = [
         ("velocity_", "north east down", track.v_n),
         ("rate_", "x y z", zeros if rate is None else rate),
@@ -175,16 +186,3 @@ def track_of_truth(truth: Truth, stamp_ns: Stamps) -> Track:
 def _by_mask(masks: NDArray[Any], covariance: Any) -> Floats:
     kinds, which = np.unique(masks, return_inverse=True)
     return np.stack([covariance(int(mask)) for mask in kinds])[which] if len(kinds) else np.zeros((0, 3, 3))
-
-
-def _euler_sigmas(roll: Floats, pitch: Floats, heading: Floats, phi: Floats) -> Floats:
-    """Sigmas (m, 3) of roll, pitch, heading of covariances (m, 3, 3) of phi, to first order, as riins_node.fields has them."""
-    cosine, sine, zero = np.cos(heading), np.sin(heading), np.zeros_like(heading)
-    rows = [
-        [cosine / np.cos(pitch), sine / np.cos(pitch), zero],
-        [-sine, cosine, zero],
-        [cosine * np.tan(pitch), sine * np.tan(pitch), zero + 1.0],
-    ]
-    jacobian = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    variance = np.einsum("kij,kjl,kil->ki", jacobian, phi, jacobian)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from riins_core.earth import radii_s
+from riins_core.ins_error import PHI, POS, VEL
 from riins_core.rotation import skew
 
 from .config import HeightAid, PositionAid, VelocityAid
-from .error_filter import N_ERROR, PHI, POS, VEL, NavError
+from .error_filter import N_ERROR, NavError
 from .types import Aid, Array
 
 

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from riins_core.ins_error import BA, BG
+
 from .config import NavigatorConfig
-from .error_filter import BA, BG, GM
+from .error_filter import GM
 from .timeline import to_ns
 from .types import Array, Mode, NavSolution
 

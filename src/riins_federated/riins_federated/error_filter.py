@@ -10,10 +10,10 @@ from enum import IntEnum
 
 import numpy as np
 
-from riins_core.earth import STANDARD_GRAVITY, radii_s
-from riins_core.ins_error import fill_dynamics
+from riins_core import ins_error
+from riins_core.ins_error import BA, BG, PHI, VEL, fill_dynamics
 from riins_core.jit import jit
-from riins_core.rotation import exp_so3
+from riins_core.sensor_errors import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 
 from .config import NavigatorConfig
 from .types import Array, InitialState
@@ -52,11 +52,6 @@ class NavError(IntEnum):
     LOG_SCALE = 19
 
 
-POS = slice(0, 3)
-VEL = slice(3, 6)
-PHI = slice(6, 9)
-BG = slice(9, 12)
-BA = slice(12, 15)
 GM = slice(15, 18)
 
 LABELS = tuple(
@@ -67,10 +62,6 @@ LABELS = tuple(
         strict=True,
     )
 )
-
-DEG_H = np.pi / 180.0 / 3600.0
-DEG_SQRT_H = np.pi / 180.0 / 60.0
-MICRO_G = STANDARD_GRAVITY * 1e-6
 
 
 class ProcessNoise:
@@ -87,10 +78,10 @@ class ProcessNoise:
         self.markov_rate = 1.0 / model.gyro_markov_time_s
         density = np.zeros(N_ERROR)
         density[VEL] = (model.accel_vrw_ug_sqrt_hz * MICRO_G) ** 2
-        density[PHI] = (model.gyro_arw_deg_sqrt_h * DEG_SQRT_H) ** 2
-        density[BG] = (model.gyro_bias_walk_deg_h_sqrt_h * DEG_H) ** 2 / 3600.0
+        density[PHI] = (model.gyro_arw_deg_sqrt_h * DEG_PER_SQRT_H) ** 2
+        density[BG] = (model.gyro_bias_walk_deg_h_sqrt_h * DEG_PER_H) ** 2 / 3600.0
         density[BA] = (model.accel_bias_walk_ug_sqrt_h * MICRO_G) ** 2 / 3600.0
-        density[GM] = 2.0 * (model.gyro_markov_deg_h * DEG_H) ** 2 * self.markov_rate
+        density[GM] = 2.0 * (model.gyro_markov_deg_h * DEG_PER_H) ** 2 * self.markov_rate
         self.density = density
 
 
@@ -108,11 +99,11 @@ def initial_covariance(initial: InitialState, config: NavigatorConfig) -> Array:
     """
     model, log = config.inertial, config.doppler
     variance = np.zeros(N_ERROR)
-    bias_g = np.where(np.asarray(initial.sigma_gyro_bias) > 0.0, initial.sigma_gyro_bias, model.gyro_bias_deg_h * DEG_H)
+    bias_g = np.where(np.asarray(initial.sigma_gyro_bias) > 0.0, initial.sigma_gyro_bias, model.gyro_bias_deg_h * DEG_PER_H)
     bias_a = np.where(np.asarray(initial.sigma_accel_bias) > 0.0, initial.sigma_accel_bias, model.accel_bias_ug * MICRO_G)
     sigmas = (initial.sigma_position, initial.sigma_velocity, initial.sigma_attitude, bias_g, bias_a)
     variance[:N_INS] = np.concatenate(sigmas) ** 2
-    variance[GM] = (model.gyro_markov_deg_h * DEG_H) ** 2
+    variance[GM] = (model.gyro_markov_deg_h * DEG_PER_H) ** 2
     variance[NavError.LOG_YAW] = np.radians(log.misalignment_deg) ** 2
     variance[NavError.LOG_SCALE] = (log.scale_ppm * 1e-6) ** 2
     P = np.diag(variance)
@@ -225,16 +216,7 @@ def correct(nav: Array, parameters: Array, x: Array) -> None:
     nav : (16,), latitude, longitude, height, velocity NED, C_nb row-major
     parameters : (11,), gyro bias, accelerometer bias, gyro drift, log yaw, log scale
     x : (20,), estimated error state
-
-    Notes
-    -----
-    C_nb <- exp([phi x]) C_nb, since computed C_nb = (I - [phi x]) true C_nb.
     """
-    r_m, r_n = radii_s(nav[0])
-    nav[1] -= x[NavError.POS_E] / ((r_n + nav[2]) * np.cos(nav[0]))
-    nav[0] -= x[NavError.POS_N] / (r_m + nav[2])
-    nav[2] += x[NavError.POS_D]
-    nav[3:6] -= x[VEL]
-    nav[6:15] = (exp_so3(x[PHI]) @ nav[6:15].reshape(3, 3)).ravel()
+    ins_error.correct(nav, x[:9])
     parameters[0:9] += x[9:18]  # BG, BA, GM: what was left over is now known
     parameters[9:11] -= x[18:20]

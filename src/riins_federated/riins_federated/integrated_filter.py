@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from riins_core.ins_error import PHI, VEL
 from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
 from riins_core.strapdown import strapdown_block
 from riins_fdi.health import Change
 
 from .aiding import HeightModel, Pose, PositionModel, VelocityModel
 from .config import NavigatorConfig
-from .error_filter import N_ERROR, PHI, VEL, ProcessNoise, correct, initial_covariance, transition
+from .error_filter import N_ERROR, ProcessNoise, correct, initial_covariance, transition
 from .local_filter import LocalFilter
 from .master import FusionReset, InformationMaster, Master
 from .sample_noise import SampleNoise

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core import ins_error
-from riins_core.ins_error import fill_dynamics
+from riins_core.ins_error import correct_into, fill_dynamics
 from riins_core.jit import jit
 from riins_core.kalman import NotPositiveDefinite, cholesky_into, predict_into, update_joseph
 from riins_core.strapdown import NAV_SIZE, strapdown_block
@@ -166,7 +166,7 @@ def _scheme_block(mode: int, m: _Memory, known: _Known, dt: float, z: Array, nav
         if mode == 0:
             if not update_joseph(x, P, p, H, RR, dz, S, e):
                 return False
-            ins_error._correct(nav, x, turn)
+            correct_into(nav, x, turn)
             for kind in range(2):
                 for i in range(n):
                     d[kind, i] += x[9 + kind * n + i]

@@ -2,49 +2,52 @@
 
 Lives here: one function per message. A stamp is integer nanoseconds; where arrays come with a leading dimension m, the dict describes m messages
 (riins_bag packs such a block at once). `convert.fill` makes a rclpy message of a dict, riins_bag.serialize the bytes of a recording.
-Does not live here: anything that imports ROS (convert.py), the way back (readings.py), frame algebra (riins_core.frames).
+Does not live here: health and decisions (status_fields.py, had here by the same names), anything that imports ROS (convert.py), the way back
+(readings.py), frame algebra (riins_core.frames).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from riins_core import frames
+from riins_core.ins_error import BA, BG, PHI, POS, VEL
 from riins_core.rotation import skew
-
-Array = NDArray[np.float64]
-Fields = dict[str, Any]
-
-MAP, MAP_NED, BASE, IMU = "map", "map_ned", "base_link", "imu_link"
-SERVICE = {"gps": 1, "bds": 4}  # sensor_msgs/NavSatStatus SERVICE_GPS, SERVICE_COMPASS
-STATUS_FIX, STATUS_NO_FIX = 0, -1
-COVARIANCE_UNKNOWN, COVARIANCE_KNOWN = 0, 3
-LEVELS = {"ok": 0, "warn": 1, "error": 2, "stale": 3}  # diagnostic_msgs/DiagnosticStatus
-
-POS, VEL, PHI, BG, BA = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15)  # riins_core.ins_error.State
+from riins_node.message_parts import (
+    BASE,
+    COVARIANCE_KNOWN,
+    COVARIANCE_UNKNOWN,
+    IMU,
+    MAP,
+    MAP_NED,
+    SERVICE,
+    STATUS_FIX,
+    STATUS_NO_FIX,
+    Array,
+    Fields,
+    flat,
+    header,
+    quaternion,
+    vector,
+)
+from riins_node.status_fields import (
+    diagnostics,
+    fault,
+    fault_array,
+    federated_status,
+    fusion_method,
+    inertial_calibration,
+    inertial_fdi,
+    innovation,
+    nav_event,
+    sensor_use,
+)
 
 _POSE = np.ix_([0, 1, 2, 6, 7, 8], [0, 1, 2, 6, 7, 8])  # position and phi
-
-
-def header(stamp_ns: Any, frame_id: str) -> Fields:
-    """std_msgs/Header; `stamp_ns` int or (m,)."""
-    return {"stamp": stamp_ns, "frame_id": frame_id}
-
-
-def vector(v: ArrayLike) -> Fields:
-    """geometry_msgs/Vector3 or Point of (3,) or (m, 3)."""
-    v = np.asarray(v, np.float64)
-    return {"x": v[..., 0], "y": v[..., 1], "z": v[..., 2]}
-
-
-def quaternion(q: ArrayLike) -> Fields:
-    """geometry_msgs/Quaternion of a scalar-last quaternion (4,) or (m, 4)."""
-    q = np.asarray(q, np.float64)
-    return {"x": q[..., 0], "y": q[..., 1], "z": q[..., 2], "w": q[..., 3]}
 
 
 def redundant_imu(stamp_ns: Any, sequence: Any, gyro: ArrayLike, accel: ArrayLike, gyro_valid: Any, accel_valid: Any, frame_id: str = IMU) -> Fields:
@@ -96,9 +99,9 @@ def fused_imu(
         "header": header(stamp_ns, IMU),
         "sequence": sequence,
         "angular_velocity": vector(frames.frd_to_flu(rate)),
-        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(rate_covariance)),
+        "angular_velocity_covariance": flat(frames.frd_to_flu_covariance(rate_covariance)),
         "linear_acceleration": vector(frames.frd_to_flu(force)),
-        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(force_covariance)),
+        "linear_acceleration_covariance": flat(frames.frd_to_flu_covariance(force_covariance)),
         "gyro_drift": np.asarray(gyro_drift, np.float64),
         "accel_drift": np.asarray(accel_drift, np.float64),
         "gyro_used": gyro_used,
@@ -119,9 +122,9 @@ def imu_raw(stamp_ns: Any, rate: ArrayLike, force: ArrayLike, rate_covariance: A
         "orientation": {"w": 1.0},
         "orientation_covariance": no_orientation,
         "angular_velocity": vector(frames.frd_to_flu(rate)),
-        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(rate_covariance)),
+        "angular_velocity_covariance": flat(frames.frd_to_flu_covariance(rate_covariance)),
         "linear_acceleration": vector(frames.frd_to_flu(force)),
-        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(force_covariance)),
+        "linear_acceleration_covariance": flat(frames.frd_to_flu_covariance(force_covariance)),
     }
 
 
@@ -137,11 +140,11 @@ def imu(solution: Any, rate_covariance: ArrayLike | None = None, force_covarianc
     return {
         "header": header(solution.stamp_ns, BASE),
         "orientation": quaternion(frames.attitude_to_enu(solution.C_nb)),
-        "orientation_covariance": _flat(frames.ned_to_enu_covariance(solution.P[PHI, PHI])),
+        "orientation_covariance": flat(frames.ned_to_enu_covariance(solution.P[PHI, PHI])),
         "angular_velocity": vector(frames.frd_to_flu(solution.rate_b)),
-        "angular_velocity_covariance": _flat(frames.frd_to_flu_covariance(zeros if rate_covariance is None else rate_covariance + P[BG, BG])),
+        "angular_velocity_covariance": flat(frames.frd_to_flu_covariance(zeros if rate_covariance is None else rate_covariance + P[BG, BG])),
         "linear_acceleration": vector(frames.frd_to_flu(solution.force_b)),
-        "linear_acceleration_covariance": _flat(frames.frd_to_flu_covariance(zeros if force_covariance is None else force_covariance + P[BA, BA])),
+        "linear_acceleration_covariance": flat(frames.frd_to_flu_covariance(zeros if force_covariance is None else force_covariance + P[BA, BA])),
     }
 
 
@@ -149,8 +152,8 @@ def nav_state(solution: Any, sequence: int) -> Fields:
     """riins_msgs/NavState of a riins_federated NavSolution."""
     position, velocity, heading = solution.validity
     roll, pitch, yaw = (float(angle) for angle in solution.rph)
-    sigma_position, sigma_velocity = _sigmas(solution.P[POS, POS]), _sigmas(solution.P[VEL, VEL])
-    sigma_euler = _sigmas(_euler_covariance(roll, pitch, yaw, solution.P[PHI, PHI]))
+    sigma_position, sigma_velocity = sigmas(solution.P[POS, POS]), sigmas(solution.P[VEL, VEL])
+    sigma_euler = sigmas(euler_covariance(roll, pitch, yaw, solution.P[PHI, PHI]))
     reset_position, reset_velocity, reset_heading = solution.reset
     names: list[tuple[str, Sequence[str], Iterable[float]]] = [
         ("velocity", ("north", "east", "down"), solution.v_n),
@@ -187,7 +190,7 @@ def nav_state(solution: Any, sequence: int) -> Fields:
 
 def nav_covariance(solution: Any, labels: Sequence[str]) -> Fields:
     """riins_msgs/NavCovariance: the whole covariance of a NavSolution, with one label per state."""
-    return {"header": header(int(solution.stamp_ns), MAP_NED), "labels": list(labels), "covariance": _flat(solution.P)}
+    return {"header": header(int(solution.stamp_ns), MAP_NED), "labels": list(labels), "covariance": flat(solution.P)}
 
 
 def odometry(solution: Any, local_frame: frames.LocalFrame, rate_covariance: ArrayLike | None = None) -> Fields:
@@ -222,11 +225,11 @@ def odometry(solution: Any, local_frame: frames.LocalFrame, rate_covariance: Arr
                 "position": vector(local_frame.to_enu(solution.lat, solution.lon, solution.h)),
                 "orientation": quaternion(local_frame.attitude(solution.lat, solution.lon, solution.C_nb)),
             },
-            "covariance": _flat(to_map @ P[_POSE] @ to_map.T),
+            "covariance": flat(to_map @ P[_POSE] @ to_map.T),
         },
         "twist": {
             "twist": {"linear": vector(frames.frd_to_flu(C_bn @ v_n)), "angular": vector(frames.frd_to_flu(solution.rate_b))},
-            "covariance": _flat(twist_covariance),
+            "covariance": flat(twist_covariance),
         },
     }
 
@@ -249,7 +252,7 @@ def position_fix(stamp_ns: Any, lat: Any, lon: Any, h: Any, covariance: ArrayLik
         "latitude": np.degrees(lat),
         "longitude": np.degrees(lon),
         "altitude": h,
-        "position_covariance": _flat(frames.ned_to_enu_covariance(covariance)),
+        "position_covariance": flat(frames.ned_to_enu_covariance(covariance)),
         "position_covariance_type": COVARIANCE_KNOWN if covariance.any() else COVARIANCE_UNKNOWN,
     }
 
@@ -288,178 +291,72 @@ def initial_state(state: Any) -> Fields:
         **speed,
         **attitude,
         **{name: np.asarray(getattr(state, name), np.float64) for name in sigmas},
-        "covariance": np.zeros(0) if state.covariance is None else _flat(state.covariance),
+        "covariance": np.zeros(0) if state.covariance is None else flat(state.covariance),
         "source": str(state.source),
-    }
-
-
-def innovation(judged: Any) -> Fields:
-    """riins_msgs/Innovation of a riins_federated Judged."""
-    return {
-        "header": header(int(judged.stamp_ns), "doppler_link" if judged.name == "doppler" else MAP_NED),
-        "subfilter": judged.name,
-        "innovation": np.asarray(judged.innovation, np.float64),
-        "sigma": np.asarray(judged.sigma, np.float64),
-        "standardized": np.asarray(judged.standardized, np.float64),
-        "statistic": float(judged.nis),
-        "threshold": float(judged.threshold),
-        "accepted": bool(judged.accepted),
-        "reason": int(judged.reason),
-    }
-
-
-def nav_event(event: Any) -> Fields:
-    """riins_msgs/NavEvent of a riins_federated NavEvent."""
-    return {
-        "stamp": int(event.stamp_ns),
-        "kind": int(event.kind),
-        "target": event.target,
-        "state": int(event.state or 0),
-        "reason": int(event.reason),
-        "text": event.text,
-    }
-
-
-def federated_status(report: Any, text: str = "", events: Iterable[Any] = ()) -> Fields:
-    """riins_msgs/FederatedStatus of a riins_federated FederatedReport; `text`: what changed, one line; `events`: the last NavEvents."""
-    counters = ("imu_received", "imu_lost", "imu_rejected", "restarts", "rollbacks")
-    return {
-        "header": header(int(report.stamp_ns), MAP_NED),
-        "mode": int(report.mode),
-        "subfilters": [_subfilter(sub) for sub in report.subfilters],
-        **{name: int(getattr(report, name)) for name in counters},
-        "events": [nav_event(event) for event in events],
-        "text": text,
-    }
-
-
-def inertial_fdi(status: Any, text: str | None = None) -> Fields:
-    """riins_msgs/InertialFdi of a riins_imu_fusion FdiStatus; `text`: what changed, one line, None: the status' own."""
-    counters = ("received", "fused", "lost", "rejected_length", "rejected_stamp", "rejected_no_solution", "restarts")
-    return {
-        "header": header(int(status.stamp_ns), IMU),
-        "gyro": _triad(status.gyro),
-        "accel": _triad(status.accel),
-        **{name: int(getattr(status.counters, name)) for name in counters},
-        "text": status.text if text is None else text,
-    }
-
-
-def fault(one: Any, start_at_ns: int = 0) -> Fields:
-    """riins_msgs/Fault of a riins_sim Fault, whose times count from `start_at_ns`; no end is 0."""
-    return {
-        "target": one.target,
-        "type": int(one.type),
-        "size": float(one.size),
-        "slope": float(one.slope),
-        "axis": one.axis,
-        "start": start_at_ns + int(one.start_ns),
-        "end": 0 if one.end_ns is None else start_at_ns + int(one.end_ns),
-    }
-
-
-def fault_array(stamp_ns: int, faults: Iterable[Any], start_at_ns: int = 0) -> Fields:
-    """riins_msgs/FaultArray of riins_sim faults."""
-    return {"header": header(stamp_ns, ""), "faults": [fault(one, start_at_ns) for one in faults]}
-
-
-def sensor_use(stamp_ns: int, target: str, use: bool) -> Fields:
-    """riins_msgs/SensorUse, an accepted command; `stamp_ns`: from when on it holds, 0 or less: from the first sample on."""
-    return {"header": header(max(int(stamp_ns), 0), ""), "target": target, "use": bool(use)}
-
-
-def fusion_method(stamp_ns: int, selection: Any) -> Fields:
-    """riins_msgs/FusionMethod of a riins_imu_fusion Selection; `stamp_ns`: from when on it holds, 0 or less: from the first sample on."""
-    return {"header": header(max(int(stamp_ns), 0), ""), **selection._asdict()}
-
-
-def inertial_calibration(calibration: Any) -> Fields:
-    """riins_msgs/InertialCalibration of a riins_federated Calibration."""
-    return {
-        "header": header(calibration.effective_ns, IMU),
-        "estimated": calibration.estimated_ns,
-        "gyro_bias": vector(frames.frd_to_flu(calibration.gyro_bias)),
-        "gyro_bias_covariance": _flat(frames.frd_to_flu_covariance(calibration.gyro_covariance)),
-        "accel_bias": vector(frames.frd_to_flu(calibration.accel_bias)),
-        "accel_bias_covariance": _flat(frames.frd_to_flu_covariance(calibration.accel_covariance)),
-    }
-
-
-def diagnostics(stamp_ns: int, statuses: Iterable[tuple[str, str, str, Mapping[str, Any]]], hardware_id: str = "riins") -> Fields:
-    """diagnostic_msgs/DiagnosticArray of (name, level, message, values); level is one of `LEVELS`."""
-    return {
-        "header": header(stamp_ns, ""),
-        "status": [
-            {
-                "level": bytes([LEVELS[level]]),
-                "name": name,
-                "message": message,
-                "hardware_id": hardware_id,
-                "values": [{"key": str(key), "value": str(value)} for key, value in values.items()],
-            }
-            for name, level, message, values in statuses
-        ],
     }
 
 
 def _twist(stamp_ns: Any, frame_id: str, linear: Array, covariance: Array) -> Fields:
     whole = np.zeros((*covariance.shape[:-2], 6, 6))
     whole[..., :3, :3] = covariance
-    return {"header": header(stamp_ns, frame_id), "twist": {"twist": {"linear": vector(linear)}, "covariance": _flat(whole)}}
+    return {"header": header(stamp_ns, frame_id), "twist": {"twist": {"linear": vector(linear)}, "covariance": flat(whole)}}
 
 
-def _triad(triad: Any) -> Fields:
-    return {
-        "parity": np.asarray(triad.parity, np.float64),
-        "statistic": float(triad.statistic),
-        "threshold": float(triad.threshold),
-        "dof": int(triad.dof),
-        "detected": bool(triad.detected),
-        "suspect": int(triad.suspect),
-        "state": [int(state) for state in triad.state],
-        "reason": [int(reason) for reason in triad.reason],
-        "since": [int(since) for since in triad.since_ns],
-        "drift": np.asarray(triad.drift, np.float64),
-        "capability": int(triad.capability),
-    }
+def sigmas(covariance: Array) -> Array:
+    """Square roots (.., n) of the diagonals of covariances (.., n, n)."""
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0)))
 
 
-def _subfilter(sub: Any) -> Fields:
-    return {
-        "name": sub.name,
-        "state": int(sub.state),
-        "reason": int(sub.reason),
-        "stamp": int(sub.stamp_ns),
-        "since": int(sub.since_ns),
-        "statistic": float(sub.statistic),
-        "threshold": float(sub.threshold),
-        "beta": float(sub.beta),
-        "information_trace": np.asarray(sub.information_trace, np.float64),
-        "accepted": int(sub.accepted),
-        "rejected": int(sub.rejected),
-        "late": int(sub.late),
-        "malformed": int(sub.malformed),
-        "no_fix": int(sub.no_fix),
-    }
-
-
-def _flat(matrix: ArrayLike) -> Array:
-    matrix = np.asarray(matrix, np.float64)
-    return matrix.reshape(*matrix.shape[:-2], -1)
-
-
-def _sigmas(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance), 0.0)))
-
-
-def _euler_covariance(roll: float, pitch: float, heading: float, phi: Array) -> Array:
-    """Covariance of the errors of roll, pitch, heading from that of phi (computed C_nb = (I - [phi x]) true C_nb), to first order."""
+def euler_covariance(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike, phi: Array) -> Array:
+    """Covariance (.., 3, 3) of the errors of roll, pitch, heading from that of phi (computed C_nb = (I - [phi x]) true C_nb), to first order."""
     cosine, sine = np.cos(heading), np.sin(heading)
-    jacobian = -np.array(
-        [
-            [cosine / np.cos(pitch), sine / np.cos(pitch), 0.0],
-            [-sine, cosine, 0.0],
-            [cosine * np.tan(pitch), sine * np.tan(pitch), 1.0],
-        ]
-    )
-    return np.asarray(jacobian @ phi @ jacobian.T)
+    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
+    rows = [
+        [cosine / np.cos(pitch), sine / np.cos(pitch), zero],
+        [-sine, cosine, zero],
+        [cosine * np.tan(pitch), sine * np.tan(pitch), one],
+    ]
+    jacobian = -np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.asarray(jacobian @ phi @ np.swapaxes(jacobian, -1, -2))
+
+
+__all__ = [
+    "BASE",
+    "COVARIANCE_KNOWN",
+    "COVARIANCE_UNKNOWN",
+    "Fields",
+    "IMU",
+    "MAP",
+    "MAP_NED",
+    "SERVICE",
+    "STATUS_FIX",
+    "STATUS_NO_FIX",
+    "diagnostics",
+    "doppler",
+    "euler_covariance",
+    "fault",
+    "fault_array",
+    "federated_status",
+    "fused_imu",
+    "fusion_method",
+    "header",
+    "imu",
+    "imu_raw",
+    "inertial_calibration",
+    "inertial_fdi",
+    "initial_state",
+    "innovation",
+    "nav_covariance",
+    "nav_event",
+    "nav_fix",
+    "nav_state",
+    "odometry",
+    "origin",
+    "position_fix",
+    "quaternion",
+    "redundant_imu",
+    "sensor_use",
+    "sigmas",
+    "vector",
+    "velocity",
+]
