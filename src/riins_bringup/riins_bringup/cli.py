@@ -267,11 +267,13 @@ def reproduce(
         if row.n == 0 and row.remark:
             _console().print(row.remark, markup=False, highlight=False, soft_wrap=True)
     missed = study.missed(rows)
-    for row in missed:
-        _console().print(
-            f"target {row.target} missed: {row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g})",
-            style="red", markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+    for row in rows:
+        if row.target is not None and row.n:
+            word, style = ("missed: ", "red") if row.ok is False else ("", "")
+            _console().print(
+                f"target {row.target} {word}{row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g}), n = {row.n}",
+                style=style, markup=False, highlight=False, soft_wrap=True,
+            )  # fmt: skip
     aimed = sum(row.target is not None and row.ok is not None for row in rows)
     _console().print(
         f"{aimed - len(missed)} of {aimed} rows reach their target; page: {directory / 'index.html'}", markup=False, highlight=False, soft_wrap=True

@@ -81,6 +81,12 @@ STUDIES: dict[str, Reproduction] = {
             Chapter("riins_eval.studies.beyond", "Beyond the thesis: drifts that begin under way, on sensors that nobody names", 1.5),
         ),
     ),
+    "beyond": Reproduction(
+        "Beyond the thesis: drifts of two sensors that nobody names",
+        "glr_kf beside weighted least squares, isolation, the thesis' drift compensation and adaptive filters, sparse drifts, a bank of filters.",
+        (Chapter("riins_eval.studies.beyond", "Drifts that begin under way, one after the other or together, constant or not"),),
+        beside="reference",
+    ),
     "real": Reproduction(
         "Detection on real sensors",
         "Four small IMUs on a drone, whose twelve gyros and twelve accelerometers disagree, and a fibre-optic IMU at sea projected on six axes. "

@@ -31,9 +31,10 @@ def test_healthy_sensors_are_not_named_where_the_bank_names_them() -> None:
 def test_rows_and_figure() -> None:
     told: list[float] = []
     rows, figures = beyond.run(2, True, told.append)
-    assert told[-1] == pytest.approx(1.0) and len(rows) == 3 * len(beyond.CASES)
+    assert told[-1] == pytest.approx(1.0) and len(rows) == 3 * len(beyond.CASES) + 2
     targets = [r for r in rows if r.target == 15]
     assert len(targets) == 2 and all(r.ok for r in targets)
+    assert [r.ok for r in rows if r.target == 16] == [True, True]
     canvas = Canvas()
     figures[0].draw(canvas)
     assert canvas.axes[0].get_yscale() == "log"
