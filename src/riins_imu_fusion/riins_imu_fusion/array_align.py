@@ -66,7 +66,7 @@ class _Stream:
         self.lever: Array | None = lever if lever.any() else None
         self.counts = dict.fromkeys(Cause, 0)
         self.received = self.used = 0
-        self.last_cause: Cause | None = None
+        self.out_of_step = False  # the last sample was refused for its stamp
         self.reset()
 
     def reset(self) -> None:
@@ -85,12 +85,13 @@ class _Stream:
 
     def note(self, cause: Cause) -> None:
         self.counts[cause] += 1
-        self.last_cause = cause
+        self.out_of_step |= cause in (Cause.LATE, Cause.CLOCK)
 
     def take(self, stamp: int, raw: Array) -> None:
         place = bisect.bisect_left(self.stamps, stamp)
         if place < len(self.stamps) and self.stamps[place] == stamp:
             return self.note(Cause.DUPLICATE)
+        self.out_of_step = False
         point = raw
         if self.lever is not None:
             rate = raw[:3]

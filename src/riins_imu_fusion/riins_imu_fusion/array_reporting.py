@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from riins_imu_fusion.array_align import ArrayAligner, Cause
+from riins_imu_fusion.array_align import ArrayAligner
 from riins_imu_fusion.array_config import ArrayConfig
 from riins_imu_fusion.array_mounting import Mounting, MountingEstimator
 
@@ -39,7 +39,8 @@ def diagnosis(aligner: ArrayAligner, mounting: MountingEstimator | None) -> list
     reports: list[Status] = [("imu_array", level, redundancy(sum(alive)), values)]
     for i, (topic, stream) in enumerate(zip(config.topics, aligner.streams, strict=True)):
         counts = {cause.value: count for cause, count in stream.counts.items() if count}
-        words = "never heard" if not stream.received else "silent, or its clock is out of step" if stream.out else "aligned"
+        absent = "its clock is out of step" if stream.out_of_step else "silent"
+        words = "never heard" if not stream.received else absent if stream.out else "aligned"
         known = {} if mounting is None or i == 0 else _mounting(mounting.result(i))
         values = {"received": stream.received, "outputs": stream.used, **counts, **known}
         reports.append((f"imu_array: {topic}", "ok" if alive[i] else "error", words, values))
@@ -69,8 +70,8 @@ class Changes:
         for i, (topic, stream) in enumerate(zip(self._aligner.config.topics, self._aligner.streams, strict=True)):
             if stream.out != self._out[i]:
                 self._out[i] = stream.out
-                wrong = stream.last_cause in (Cause.LATE, Cause.CLOCK)
-                lines.append(f"{topic} {'left out: its clock is out of step' if wrong else 'silent'}" if stream.out else f"{topic} is back")
+                gone = "left out: its clock is out of step" if stream.out_of_step else "silent"
+                lines.append(f"{topic} {gone}" if stream.out else f"{topic} is back")
             if self._mounting is not None and i > 0:
                 found = self._mounting.result(i)
                 if found.known and not self._known[i]:

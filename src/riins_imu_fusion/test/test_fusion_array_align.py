@@ -146,7 +146,7 @@ def test_noise_gains_at_their_limits() -> None:
 # ---- order of arrival ----
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32))
 def test_the_order_of_arrival_does_not_matter(seed: int) -> None:
     """Delays up to max_wait, also within one IMU, with losses, a silence and a late start: the same outputs, bit for bit."""
