@@ -102,6 +102,18 @@ STUDIES: dict[str, Reproduction] = {
         quick_seeds=20,
         unit="cases",
     ),
+    "ship": Reproduction(
+        "The ship with GPS, BDS and Doppler log",
+        "Section 3 of seed 003 in the damped platform form, every federated structure and fault test against the oracle, and the tests of seed 004.",
+        (
+            Chapter("riins_eval.studies.ship", "The voyage: outages, gross faults, accuracy against the oracle"),
+            Chapter("riins_eval.studies.ship_faults", "Small and slow faults"),
+            Chapter("riins_eval.studies.innovations", "Innovation tests at equal false-alarm rate", 0.5),
+        ),
+        beside="paper",
+        seeds=20,
+        quick_seeds=4,
+    ),
 }
 RECORDINGS = Path("../shared/data")
 """Where recordings are looked for if nothing else is said."""

@@ -25,7 +25,9 @@ class SeparationSettings:
     Attributes
     ----------
     rows : states compared, the horizontal position
+    navigation : states compared as well, position, velocity and attitude: they tell which aid it is, and find it sooner; none: only `rows`
     pfa : of one test: 1e-5 is a threshold of 23.0 with two degrees of freedom, 3e-7 one of 30
+    margin : by which what is still parted without the aid to blame must be below that without any other: 10 is a likelihood of 150 to 1
     confirm_after, confirm_pfa : an aid that has failed so many NIS tests in a row is tested with this pfa: what it put in before goes too
     left_out : masters for every set that leaves out up to so many aids: 0 the plain information form without this test, 1 leave-one-out masters.
         With 2, another aid may fail too and its leave-one-out master is still one that never saw the first
@@ -34,7 +36,9 @@ class SeparationSettings:
     """
 
     rows: tuple[int, ...] = (0, 1)
+    navigation: tuple[int, ...] = ()
     pfa: float = 1e-5
+    margin: float = 10.0
     confirm_after: int = 3
     confirm_pfa: float = 1e-2
     left_out: int = 2
@@ -152,24 +156,31 @@ class SeparatedMasters(Structure):
 
     def _part(self, matrix: Array) -> Array:
         rows = list(self.settings.rows)
-        return matrix[np.ix_(rows, rows)] if matrix.ndim == 2 else matrix[rows]
+        return matrix[np.ix_(rows, rows)]
 
-    def _against(self, one: Estimate, other: Estimate, pfa: float) -> Separation:
-        return solution_separation(self._part(one.x), self._part(one.P), self._part(other.x), self._part(other.P), pfa)
+    def _against(self, one: Estimate, other: Estimate, pfa: float, rows: tuple[int, ...]) -> Separation:
+        part = np.array(rows)
+        cut = part[:, None], part
+        return solution_separation(one.x[part], one.P[cut], other.x[part], other.P[cut], pfa)
 
     def _separate(self) -> None:
         """Test every aid in use, and isolate the one to blame; then the rest anew."""
+        master, states = self._masters[self._all], self.settings.navigation or self.settings.rows
         while True:
             using = [i for i, isolated in enumerate(self.isolated) if not isolated]
-            found = {i: self._against(self._masters[self._all], self.without(i), self._pfa(i)) for i in using}
+            found = {i: self._against(master, self.without(i), self._pfa(i), self.settings.rows) for i in using}
+            whole = {i: self._against(master, self.without(i), self._pfa(i), states) for i in using} if self.settings.navigation else found
             self.separation = [found.get(i) for i in range(len(self.isolated))]
-            alarms = [i for i in using if found[i].alarm]
+            alarms = [i for i in using if found[i].alarm or whole[i].alarm]
             if not alarms:
                 return
-            blamed = min(using, key=lambda i: (-self._failing(i), self._left(i, using), -found[i].statistic))
-            if blamed not in alarms:
-                return  # a fault parts other aids' solutions too: wait until its own is parted
+            left = {i: -np.inf if self._failing(i) else self._left(i, using, states) for i in using}
+            blamed = min(using, key=lambda i: (left[i], -whole[i].statistic))
+            doubt = self.settings.left_out > 1 and any(left[i] < left[blamed] + self.settings.margin for i in using if i != blamed)
+            if blamed not in alarms or doubt:
+                return  # a fault parts other aids' solutions too: wait until it is plain whose it is
             self._isolate(blamed)
+            master = self._masters[self._all]
 
     def _failing(self, index: int) -> bool:
         return self._failed[index] >= self.settings.confirm_after
@@ -177,11 +188,11 @@ class SeparatedMasters(Structure):
     def _pfa(self, index: int) -> float:
         return self.settings.confirm_pfa if self._failing(index) else self.settings.pfa
 
-    def _left(self, index: int, using: Sequence[int]) -> float:
+    def _left(self, index: int, using: Sequence[int], states: tuple[int, ...]) -> float:
         """What is still parted among the other aids when this one is left out; 0 where no masters are kept that could tell."""
         without = self._all & ~(1 << index)
         pairs = [without & ~(1 << j) for j in using if j != index]
-        return max((self._against(self._masters[without], self._masters[s], 0.5).statistic for s in pairs if s in self._masters), default=0.0)
+        return max((self._against(self._masters[without], self._masters[s], 0.5, states).statistic for s in pairs if s in self._masters), default=0.0)
 
     def _isolate(self, index: int) -> None:
         bit = 1 << index
@@ -211,7 +222,7 @@ class SeparatedMasters(Structure):
                     candidate.update(measurement)
             self._good[i] += 1
             if self._good[i] >= self.settings.readmit_after:
-                found = self._against(candidate, master, self.settings.readmit_p)
+                found = self._against(candidate, master, self.settings.readmit_p, self.settings.rows)
                 if found.dof and not found.alarm:
                     self.isolated[i] = False
                 self._candidate[i], self._good[i] = None, 0

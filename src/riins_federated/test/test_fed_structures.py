@@ -111,8 +111,8 @@ def test_no_reset_is_an_upper_bound_and_loses_little() -> None:
 def test_a_slow_fault_is_isolated_taken_out_and_its_aid_taken_in_again(left_out: int) -> None:
     _, good = voyage(3, 500)
     _, bad = voyage(3, 500, lambda k, aid: (aid == 0 and 100 <= k < 200) * 3.0 * (k - 99))
-    found = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out))
-    twin = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out))
+    found = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out, navigation=tuple(range(N))))
+    twin = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out, navigation=tuple(range(N))))
     gated = centralized(Gate())
     isolated, apart, without = [], [], []
     for good_now, bad_now in zip(good, bad, strict=True):

@@ -1,0 +1,89 @@
+"""The ship of seed 003 on few seeds: targets 20, 23 to 29, 33; the many are in `riins reproduce ship`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure as Canvas
+
+from riins_eval.studies import innovations, ship, ship_faults, ship_figures
+from riins_eval.studies.ship_model import BEGIN, GPS, LOG, SEED_FAULTS, Fault, epoch_of, model, voyage
+
+
+@pytest.fixture(scope="module")
+def made():
+    return model()
+
+
+def test_truth_has_the_covariance_of_the_model(made) -> None:
+    """NEES of the INS alone when the filters begin."""
+    starts = [voyage(seed, made).truth[BEGIN - 1, :7] for seed in range(6)]
+    nees = [x @ np.linalg.solve(made.P[:7, :7], x) / 7.0 for x in starts]
+    assert 0.5 < np.mean(nees) < 1.7
+
+
+@pytest.mark.parametrize("name", [ship.BEST, "fusion-reset"])
+def test_the_seed_s_voyage_at_the_oracle_s_accuracy(made, name: str) -> None:
+    """Targets 20, 23, 24, 25."""
+    given = voyage(2, made)
+    oracle = ship.fly(ship.masters(made.P, ship.OPEN, ship.ALONE), made, given, SEED_FAULTS, told=True)
+    flown = ship.fly(ship.STRUCTURES[name](made.P), made, given, SEED_FAULTS)
+    assert (flown.rms() / oracle.rms() <= (1.01, 1.01, 1.02)).all()
+    faulty = np.zeros_like(flown.given)
+    for fault in SEED_FAULTS:
+        faulty[fault.first - BEGIN : fault.last - BEGIN, fault.aid] = True
+    assert not flown.fused[faulty].any() and np.count_nonzero(flown.given & ~faulty & ~flown.passed) <= 2
+    assert 0.5 < flown.nees() < 2.0
+    assert not flown.given[: epoch_of(1.0), GPS].any() and flown.given[-1].all()
+    if name == ship.BEST:
+        assert not flown.isolated.any()
+        assert np.all(ship.rms(ship.position_reset(made, given)[ship.SCORED :])[:2] > 8.0 * flown.rms()[:2])
+
+
+def test_fusion_reset_is_the_centralized_filter() -> None:
+    """Target 29, two hours."""
+    for metres, arcmin in ship.equality(1, last=BEGIN + 720).values():
+        assert metres < 1e-3 and arcmin < 1e-4
+
+
+def test_slow_faults_are_found_and_taken_out() -> None:
+    """Targets 26 to 28."""
+    which = {label: fault for label, fault in ship_faults.faults().items() if label in ("step 150 m", "step 300 m", "ramp 0.2 m/s", "ramp 1 m/s")}
+    every = [ship_faults.table(seed, [ship.BEST, "no-reset, NIS"], which) for seed in range(3)]
+    found = [one[ship.BEST] for one in every]
+    assert all(one["step 300 m"].fused == 0 and one["step 150 m"].delay <= 30.0 for one in found)
+    assert np.mean([one["ramp 1 m/s"].delay for one in found]) <= 180.0 and np.isfinite([one["ramp 0.2 m/s"].delay for one in found]).all()
+    for label, most in (("step 150 m", 25.0), ("step 300 m", 25.0), ("ramp 1 m/s", 60.0), ("ramp 0.2 m/s", 80.0)):
+        assert np.mean([one[label].shift for one in found]) <= most and np.mean([one[label].later for one in found]) <= 2.0
+        assert np.mean([one["no-reset, NIS"][label].shift for one in every]) > np.mean([one[label].shift for one in found])
+
+
+def test_a_fault_of_the_log_is_not_blamed_on_gps(made) -> None:
+    given, structure = voyage(0, made), ship.masters(made.P)
+    fault = Fault(LOG, BEGIN + 300, BEGIN + 400, step=(0.3, 0.0))
+    flown = ship.fly(structure, made, given, (fault,), outages=False, last=BEGIN + 400)
+    assert flown.isolated[300:, LOG].any() and not flown.isolated[:, :LOG].any() and not flown.isolated[:300].any()
+
+
+def test_adaptive_noise() -> None:
+    """Target 33, four hours."""
+    ratio = ship.louder_gps(0, last=epoch_of(6.0))
+    assert ratio["adaptive R"] <= 1.15 < ratio["fixed R"]
+
+
+def test_drawn_faults_and_figures() -> None:
+    draws = ship_faults.drawn(20, lambda part: None)
+    assert len(draws) == 20 and sum(draw.fused for draw in draws) == 0
+    assert {draw.aid for draw in draws} == {0, 1, 2} and all(3.0 <= draw.size <= 1000.0 for draw in draws)
+    outcomes = {label: ship_faults.Outcome(10.0, 0, 5.0, 0.1) for label in ship_faults.faults()}
+    for figure in ship_figures.fault_figures([{ship.BEST: outcomes}], draws):
+        canvas = Canvas()
+        figure.draw(canvas)
+        assert canvas.axes
+
+
+def test_innovation_rows() -> None:
+    told: list[float] = []
+    rows, figures = innovations.run(1, True, told.append)
+    assert told[-1] == 1.0 and not figures
+    assert all(row.ok for row in rows if row.target in (41, 44))
