@@ -7,7 +7,6 @@ Does not live here: any logic of its own; heavy imports stay inside the verbs, s
 from __future__ import annotations
 
 import enum
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,9 +14,9 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
+from riins_bringup.bag_verbs import BagArgument, bag_app
 from riins_bringup.targets import new_directory, writable_file
-
-OK, BAD_RESULT, BAD_USE = 0, 1, 2
+from riins_bringup.terminal import BAD_RESULT, BAD_USE, OK, Progress, complain, console, judge, read_mapping, write_json
 
 # by name: importing the classes would import what raises them
 _USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "StudyError", "FileNotFoundError",
@@ -34,7 +33,8 @@ app = typer.Typer(
     help="Redundant inertial navigation with fault isolation for ships: live over ROS 2, offline, or on recorded data.\n\n"
     "Example: [bold]riins up harbour --record out/harbour[/bold] runs the graph live, [bold]riins report out/harbour[/bold] draws what happened.",
 )
-bag_app = typer.Typer(no_args_is_help=True, help="Look into, repair and play bags.\n\nExample: [bold]riins bag info out/harbour[/bold]")
+
+
 app.add_typer(bag_app, name="bag")
 
 
@@ -48,7 +48,6 @@ class Record(enum.StrEnum):
 
 
 ScenarioArgument = Annotated[str, typer.Argument(help="name of a shipped scenario or YAML file", metavar="SCENARIO")]
-BagArgument = Annotated[Path, typer.Argument(help="bag directory", metavar="BAG")]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="write the figures to this file, as documented in docs/json.md", metavar="FILE", callback=writable_file)
 ]
@@ -84,12 +83,12 @@ def geometry(
         arrays = {file.name: read_geometry(file)}
         tables, figures = describe_geometry(file.name, arrays[file.name], survivors or SURVIVORS)
     for table in tables:
-        _console().print(table)
+        console().print(table)
     if plot is not None:
         from riins_bringup.geometry_plot import draw_accuracy
 
         draw_accuracy(arrays, plot)
-    _write_json(json_file, figures)
+    write_json(json_file, figures)
     return OK
 
 
@@ -111,9 +110,9 @@ def sail(
         raise typer.BadParameter("--record needs --out BAG")
     from riins_eval import offline
 
-    with _Progress(f"sail {scenario}") as progress:
+    with Progress(f"sail {scenario}") as progress:
         run = offline.sail(scenario, seed=seed, bag=out if kind is not Record.none else None, record=kind.value, progress=progress, twins=twins)
-    return _judge(run.score, run.expect, json_file)
+    return judge(run.score, run.expect, json_file)
 
 
 @app.command()
@@ -130,9 +129,9 @@ def navigate(
     """
     from riins_eval import offline
 
-    with _Progress(f"navigate {bag.name}") as progress:
+    with Progress(f"navigate {bag.name}") as progress:
         run = offline.navigate(bag, out, record=record.value, progress=progress, namespace=namespace)
-    return _judge(run.score, run.expect, json_file)
+    return judge(run.score, run.expect, json_file)
 
 
 @app.command()
@@ -144,10 +143,10 @@ def score(bag: BagArgument, twins: TwinsOption = None, namespace: NamespaceOptio
     from riins_eval import score as scoring
     from riins_eval.bag_record import read_record
 
-    with _Progress(f"score {bag.name}") as progress:
+    with Progress(f"score {bag.name}") as progress:
         record = read_record(bag, twins=twins, progress=progress, namespace=namespace)
         result = scoring.score(record)
-    return _judge(result, record.expect, json_file)
+    return judge(result, record.expect, json_file)
 
 
 @app.command()
@@ -163,9 +162,9 @@ def report(
     """
     from riins_eval.report import report as write
 
-    with _Progress(f"report {bag.name}") as progress:
+    with Progress(f"report {bag.name}") as progress:
         page = write(bag, out or bag.with_name(f"{bag.name}_report"), twins=twins, progress=progress, namespace=namespace)
-    _console().print(f"report: {page}", highlight=False, soft_wrap=True)
+    console().print(f"report: {page}", highlight=False, soft_wrap=True)
     return OK
 
 
@@ -204,7 +203,7 @@ def up(
     choose_network(network)
     from riins_bringup.live import run_live
 
-    summary = run_live(graph, console=_console(), directory=logs, record=str(record or ""), json_file=json_file)
+    summary = run_live(graph, console=console(), directory=logs, record=str(record or ""), json_file=json_file)
     return OK if summary["status"] == 0 else BAD_RESULT
 
 
@@ -229,17 +228,17 @@ def import_file(
     """
     from riins_eval import importers
 
-    sections = _read_mapping(options)
+    sections = read_mapping(options)
     for aid in withhold or ():
         if aid not in ("gps", "bds", "doppler"):
             raise typer.BadParameter(f"--withhold takes gps, bds or doppler, not {aid}")
         sections[aid] = {**sections.get(aid, {}), "enabled": False}
     if not check_units:
         sections["recording"] = {**sections.get("recording", {}), "check_units": False}
-    with _Progress(f"import {file.name}") as progress:
+    with Progress(f"import {file.name}") as progress:
         lines = importers.import_npz(file, out, seed=seed, noise=noise, faults=faults, options=sections, progress=progress)
     for line in lines:
-        _console().print(line, markup=False, highlight=False, soft_wrap=True)
+        console().print(line, markup=False, highlight=False, soft_wrap=True)
     return OK
 
 
@@ -261,24 +260,24 @@ def reproduce(
     from riins_eval import reproduce as study
 
     directory = out or Path("out") / f"reproduce_{name}"
-    with _Progress(f"reproduce {name}", speed=False) as progress:
+    with Progress(f"reproduce {name}", speed=False) as progress:
         rows = study.reproduce(name, seeds=seeds, quick=quick, out=directory, progress=progress, data=data)
     for row in rows:
         if row.n == 0 and row.remark:
-            _console().print(row.remark, markup=False, highlight=False, soft_wrap=True)
+            console().print(row.remark, markup=False, highlight=False, soft_wrap=True)
     missed = study.missed(rows)
     for row in rows:
         if row.target is not None and row.n:
             word, style = ("missed: ", "red") if row.ok is False else ("", "")
-            _console().print(
+            console().print(
                 f"target {row.target} {word}{row.name}: {row.value:.4g} ({row.p05:.4g} .. {row.p95:.4g}), n = {row.n}",
                 style=style, markup=False, highlight=False, soft_wrap=True,
             )  # fmt: skip
     aimed = sum(row.target is not None and row.ok is not None for row in rows)
-    _console().print(
+    console().print(
         f"{aimed - len(missed)} of {aimed} rows reach their target; page: {directory / 'index.html'}", markup=False, highlight=False, soft_wrap=True
     )
-    _write_json(json_file, study.as_json(rows))
+    write_json(json_file, study.as_json(rows))
     return BAD_RESULT if missed else OK
 
 
@@ -293,63 +292,7 @@ def demo(
     """
     from riins_bringup.demo import run_demo
 
-    return run_demo(out, _console(), duration)
-
-
-@bag_app.command(name="info")
-def bag_info(
-    bag: BagArgument,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write it to this file", metavar="FILE", callback=writable_file)] = None,
-) -> int:
-    """Topics, counts, rates and lost samples of a bag.
-
-    Example: [bold]riins bag info out/harbour[/bold]
-    """
-    from riins_bag.info import describe
-
-    info = describe(bag)
-    for line in info.lines():
-        _console().print(line, markup=False, highlight=False, soft_wrap=True)
-    _write_json(json_file, info.as_mapping())
-    return OK
-
-
-@bag_app.command(name="recover")
-def bag_recover(
-    bag: Annotated[Path, typer.Argument(help="damaged bag directory or .mcap file", metavar="BAG")],
-    out: Annotated[Path | None, typer.Option("--out", help="new bag directory (default: BAG_recovered)", metavar="DIR")] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="put the recovered bag in the place of the damaged one")] = False,
-) -> int:
-    """Rebuild a bag whose recorder was killed: every complete chunk is kept.
-
-    Example: [bold]riins bag recover out/harbour[/bold]
-    """
-    from riins_bag.recover import recover
-
-    for line in recover(bag, out, replace=replace).lines():
-        _console().print(line, markup=False, highlight=False, soft_wrap=True)
-    return OK
-
-
-@bag_app.command(name="play")
-def bag_play(
-    bag: BagArgument,
-    rate: Annotated[float, typer.Option(help="speed in times real time")] = 1.0,
-    start: Annotated[float, typer.Option(help="begin this long after the start of the bag [s]")] = 0.0,
-    loop: Annotated[bool, typer.Option("--loop", help="begin anew at the end")] = False,
-    all_topics: Annotated[bool, typer.Option("--all", help="play every topic, not the raw ones alone")] = False,
-    namespace: Annotated[str, typer.Option(help="namespace of the topics")] = "",
-) -> int:
-    """Publish the raw topics of a bag, and /clock, at the recorded pace; the player waits for its first subscribers.
-
-    Example: [bold]riins bag play out/harbour --rate 2 --start 30[/bold], beside [bold]ros2 run riins_imu_fusion imu_fusion[/bold]
-    """
-    from riins_bringup.graph import GraphSettings
-    from riins_bringup.play import play
-    from riins_core.settings import build
-
-    build(GraphSettings, {"namespace": namespace})
-    return play(bag, rate=rate, start=start, loop=loop, all_topics=all_topics, namespace=namespace)
+    return run_demo(out, console(), duration)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -367,10 +310,10 @@ def main(arguments: list[str] | None = None) -> int:
         status = app(args=arguments, prog_name="riins", standalone_mode=False)
     except TyperException as error:  # what typer itself found wrong with the words
         if str(error):
-            _complain(error.format_message() if hasattr(error, "format_message") else str(error))
+            complain(error.format_message() if hasattr(error, "format_message") else str(error))
         return BAD_USE
     except (KeyboardInterrupt, typer.Abort):
-        _complain("interrupted")
+        complain("interrupted")
         return BAD_RESULT
     except BrokenPipeError:
         sys.stderr.close()
@@ -378,11 +321,11 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         names = {cls.__name__ for cls in type(error).__mro__}
         if names & (_USER_ERRORS | _FAILURES):
-            _complain(_message(error))
+            complain(_message(error))
             return BAD_USE if names & _USER_ERRORS else BAD_RESULT
         raise
     if status == _INTERRUPTED:
-        _complain("interrupted")
+        complain("interrupted")
         return BAD_RESULT
     return status if isinstance(status, int) else OK
 
@@ -391,91 +334,6 @@ def _message(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
     return str(error)
-
-
-def _complain(text: str) -> None:
-    print("riins: error: " + " ".join(text.split()), file=sys.stderr)
-
-
-def _console() -> Any:
-    from rich.console import Console
-
-    return Console()
-
-
-def _judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | None) -> int:
-    """Print a score and its verdict; exit status by the verdict."""
-    from riins_bringup.printing import fault_table, score_table, sensor_table
-    from riins_eval.score import verdict
-
-    failures = verdict(result, expect)
-    unscored = "no epoch could be scored: no reference (/truth/state) at the navigator's epochs in the time that counts"
-    if result["epochs"] or result.get("scored") == "sensors":
-        unscored = ""
-    console = _console()
-    console.print(score_table(result))
-    if result["faults"]:
-        console.print(fault_table(result))
-    if any(s["first_change_s"] is not None for s in result.get("sensors", ())):
-        console.print(sensor_table(result))
-    for line in failures:
-        console.print(f"not as expected: {line}", style="bold red", markup=False, highlight=False)
-    if unscored:
-        console.print(unscored, style="bold red", markup=False, highlight=False, soft_wrap=True)
-        failures = [unscored, *failures]
-    if expect and not failures:
-        console.print("as the scenario expects", style="green")
-    for note in result["notes"]:
-        console.print(f"note: {note}", markup=False, highlight=False)
-    _write_json(json_file, {**result, "verdict": {"passed": not failures, "failures": failures}})
-    return BAD_RESULT if failures else OK
-
-
-def _read_mapping(path: Path | None) -> dict[str, Any]:
-    """Sections of a YAML file; nothing without a file."""
-    if path is None:
-        return {}
-    import yaml
-
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise typer.BadParameter(f"{path}: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise typer.BadParameter(f"{path}: a mapping of sections is needed")
-    return content
-
-
-def _write_json(path: Path | None, figures: Any) -> None:
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(figures, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
-
-
-class _Progress:
-    """A progress bar, with the speed in times real time unless told; nothing where the output is no terminal."""
-
-    def __init__(self, title: str, speed: bool = True) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._title, self._speed = title, speed
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        self._task = self._bar.add_task(self._title, total=None, speed="")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, done: float, total: float) -> None:
-        """`done` of `total` are computed: seconds of measurement time where the speed is shown."""
-        elapsed = (self._bar.tasks[0].elapsed or 0.0) if self._speed else 0.0
-        self._bar.update(self._task, completed=done, total=total, speed=f"{done / elapsed:.0f} x real time" if elapsed > 0.2 else "")
 
 
 if __name__ == "__main__":
