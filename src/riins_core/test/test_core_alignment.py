@@ -133,7 +133,7 @@ def test_target_47_the_thesis_filter_with_its_largest_nc():
     lat, sign = math.radians(45.0), np.array([1.0, -1.0] * 3)
     errors = []
     for seed in range(20):
-        gyro, accel, _ = outputs((0.0, 0.0, 0.5 * np.pi), lat, seed, 60, DRIFT * sign, BIAS * sign)
+        gyro, accel, _ = outputs((0.0, 0.0, 0.5 * np.pi), lat, seed, 60, -DRIFT * sign, BIAS * sign)
         start = np.array([10 * ARCMIN, 10 * ARCMIN, 91 * DEG])
         filtered = PairFilter(lat, start, np.array([10 * ARCMIN, 10 * ARCMIN, DEG]), NOISE_G, NOISE_A)
         for k in range(60):

@@ -87,6 +87,16 @@ STUDIES: dict[str, Reproduction] = {
         (Chapter("riins_eval.studies.beyond", "Drifts that begin under way, one after the other or together, constant or not"),),
         beside="reference",
     ),
+    "alignment": Reproduction(
+        "Alignment: at rest, in waves, under way",
+        "Seed 001 (12, 10 and 7 states), chapter 3 of the thesis (raw outputs of redundant sensors), a moored ship in waves, and heading found under way.",
+        (
+            Chapter("riins_eval.studies.alignment", "At rest: reduced-order filters, raw outputs, all twelve sensors"),
+            Chapter("riins_eval.studies.alignment_at_sea", "A ship: moored in waves, and under way from unknown heading", 1.5),
+            Chapter("riins_eval.studies.alignment_recording", "The sea recording: under way, nothing known", 0.5, True),
+        ),
+        beside="paper",
+    ),
     "real": Reproduction(
         "Detection on real sensors",
         "Four small IMUs on a drone, whose twelve gyros and twelve accelerometers disagree, and a fibre-optic IMU at sea projected on six axes. "

@@ -37,6 +37,10 @@ _READING = {
         f"one value, with the 5th and 95th percentile; n: how many. {_VERDICT} The sentence under a name says what the reader must know: where a "
         "printed claim does not hold, and why."
     ),
+    "paper": (
+        "Target: number of a demand on this implementation, where there is one. Paper: the value printed there. Ours: mean over the seeds where the "
+        f"row does not say RMS or median, with the 5th and 95th percentile; n: how many. {_VERDICT} Under a name: what the reader must know."
+    ),
     "expected": (
         "Expected: what is known of the recording, or asked of the method. Ours: the share of the cases with its 5 and 95 % bounds (Wilson), or the "
         f"median with the 5th and 95th percentile, or the mean of gyros and accelerometers with both; n: how many. {_VERDICT}"

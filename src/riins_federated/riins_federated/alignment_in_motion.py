@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from riins_core.alignment.inertial_frame import Fit, body_integrals, fit, navigation_turn
 from riins_core.alignment.result import Alignment, AlignmentError, check_latitude
 from riins_core.alignment.stationary import ImuNoise
-from riins_core.alignment.stored import Aids, Pass, Start, prior, run_stored, start_of_end
+from riins_core.alignment.stored import Aids, Pass, Start, check_biases, prior, run_stored, start_of_end
 from riins_core.earth import OMEGA_IE, earth_rate_n, gravity, transport_rate_n
 from riins_core.settings import setting
 
@@ -151,6 +151,7 @@ def align_in_motion(
             turn_b = body_integrals(rate - found.bias_g, force, dt, len(rate))[0][1]
             C = start_of_end(found.C_end, turn_n, turn_b)
     assert found is not None
+    check_biases(found, imu)
     sigma = math.sqrt(found.P[8, 8])
     if not sigma <= math.radians(settings.heading_limit_deg):
         raise AlignmentError(

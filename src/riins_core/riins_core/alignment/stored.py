@@ -1,6 +1,6 @@
 """The filter that goes over stored data: strapdown and 15 error states with measured place or velocity, from a start found later than its time.
 
-Lives here: `Aids`, `Start`, `run_stored`, `start_of_end`. Does not live here: the first attitude (inertial_frame.py), faults of aids.
+Lives here: `Aids`, `Start`, `run_stored`, `check_biases`, `start_of_end`. Does not live here: the first attitude (inertial_frame.py), faults of aids.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ..ins_error import BA, BG, N_STATES, PHI, POS, VEL, correct, error_dynamics
 from ..kalman import innovation, update
 from ..rotation import skew
 from ..strapdown import C_NB, SUM_DT, SUM_FORCE, StrapdownState
+from .result import AlignmentError
 from .stationary import ImuNoise
 
 Array = NDArray[np.float64]
@@ -188,6 +189,21 @@ def _propagate(ship: StrapdownState, P: Array, rate: Array, force: Array, steps:
     Q[:N_STATES, :N_STATES] = G @ density @ G.T * time
     P = Phi @ P @ Phi.T + 0.5 * (Phi @ Q @ Phi.T + Q)
     return np.asarray(0.5 * (P + P.T))
+
+
+def check_biases(found: Pass, imu: ImuNoise, false_alarm: float = 1e-6) -> None:
+    """Refuse a pass that explains what it saw by a bias this IMU does not have: its attitude would be as wrong.
+
+    Raises
+    ------
+    AlignmentError
+        An estimated bias is beyond the quantile of its prior.
+    """
+    gate = float(np.sqrt(chi2.isf(false_alarm, 1)))
+    for bias, sigma, what in ((found.bias_g, imu.bias_g, "gyro"), (found.bias_a, imu.bias_a, "accelerometer")):
+        worst = float(np.max(np.abs(bias))) / sigma
+        if worst > gate:
+            raise AlignmentError(f"the data ask for {'a' if what == 'gyro' else 'an'} {what} bias of {worst:.1f} sigma: another IMU, or the aid errs")
 
 
 def start_of_end(C_end: Array, turn_n: Array, turn_b: Array) -> Array:

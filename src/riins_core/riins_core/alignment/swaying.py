@@ -17,9 +17,12 @@ from ..settings import setting
 from .inertial_frame import Fit, accumulate, body_integrals, fit, navigation_turn
 from .result import Alignment, AlignmentError, check_latitude
 from .stationary import ImuNoise
-from .stored import Aids, Pass, Start, prior, run_stored, start_of_end
+from .stored import Aids, Pass, Start, check_biases, prior, run_stored, start_of_end
 
 Array = NDArray[np.float64]
+
+_LEAST_SWING = 0.1
+"""m"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +30,9 @@ class SwayingSettings:
     """Alignment of a ship that sways about one place."""
 
     coarse_s: float = setting(300.0, "data of the vectors in the inertial frame", "s", low=60.0, high=3600.0)
-    swing_m: float = setting(1.5, "1-sigma swing about the mean place, waves and moorings together", "m", low=0.01, high=100.0)
+    swing_m: float = setting(
+        1.5, "largest 1-sigma swing about the mean place, waves and moorings together; less where less is seen", "m", low=0.01, high=100.0
+    )
     correlation_s: float = setting(5.0, "time after which the swing is taken as new: interval of the measurements of place", "s", 0.1, 300.0)
     velocity_mps: float = setting(1.0, "1-sigma velocity in waves", "m/s", low=0.01, high=20.0)
     passes: int = setting(2, "passes over the stored data", "", low=1, high=5)
@@ -95,11 +100,12 @@ def align_swaying(
             f"the vectors do not fit: {first.rms:.0f} m are left where {settings.swing_m:g} m of swing are allowed: under way, or a wrong latitude"
         )
     index = np.arange(per, m + 1, per, dtype=np.int64)
-    place = Aids("place", index, np.zeros((len(index), 3)), np.full(3, settings.swing_m))
+    swing = settings.swing_m
     P = prior(settings.swing_m, settings.velocity_mps, math.radians(1.0), math.radians(5.0), imu)
     C, found = first.C, None
     turn_n = navigation_turn(np.tile(earth_rate_n(lat) * m * dt, (1, 1)), 1.0)[1]
     for i in range(settings.passes):
+        place = Aids("place", index, np.zeros((len(index), 3)), np.full(3, swing))
         found = run_stored(rate, force, dt, Start(lat, lon, h, np.zeros(3), C, P), imu, place)
         if found.refused > 0.02 * len(index) + 1:
             raise AlignmentError(
@@ -108,5 +114,8 @@ def align_swaying(
         if i + 1 < settings.passes:
             turn_b = body_integrals(rate - found.bias_g, force, dt, m)[0][1]
             C = start_of_end(found.C_end, turn_n, turn_b)
+            # half as much again as she was seen to swing: what is left after the first pass hardly knows the attitude any more
+            swing = min(swing, max(_LEAST_SWING, 1.5 * swing * math.sqrt(float(np.mean(found.nis)) / 3.0)))
     assert found is not None
+    check_biases(found, imu)
     return Alignment("swaying", found.C_end, found.P[6:9, 6:9], m * dt, found.bias_g, found.bias_a), found
