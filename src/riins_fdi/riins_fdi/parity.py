@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _BLIND = 1e-6
 """A column of V shorter than this belongs to a sensor that no other one checks."""
-_MOST_RELATED = 24
+MOST_RELATED = 24
 """Sensors the direct comparison takes: 10626 sets of four."""
 _PARALLEL = 1e-9
 """1 - |cos| of two columns of V below which two sensors cannot be told apart."""
@@ -160,8 +160,8 @@ def parity_relations(array: ImuArray) -> tuple[Array, list[tuple[int, ...]]]:
     ValueError
         More than 24 sensors: their sets of four are too many to look through at every sample.
     """
-    if array.n > _MOST_RELATED:
-        raise ValueError(f"direct comparison takes at most {_MOST_RELATED} sensors, not {array.n}")
+    if array.n > MOST_RELATED:
+        raise ValueError(f"direct comparison takes at most {MOST_RELATED} sensors, not {array.n}")
     members: list[tuple[int, ...]] = []
     rows: list[Array] = []
     for size in (2, 3, 4):

@@ -76,7 +76,7 @@ class Commanded(ABC):
         -------
         CommandResult; refused and counted for an unknown name or a stamp that has passed. `selected` says what will hold
         """
-        if problem := refusal(fusion, parity_test, sequential_test):
+        if problem := refusal(fusion, parity_test, sequential_test, self.n):
             return self._refuse(problem)
         effective_ns, when = self._due(effective_ns)
         if when.startswith("passed"):

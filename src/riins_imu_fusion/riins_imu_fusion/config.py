@@ -16,7 +16,7 @@ from riins_core import imu_array
 from riins_core.frames import frd_to_flu
 from riins_core.settings import SettingError, section, setting
 from riins_fdi.health import HealthConfig
-from riins_fdi.parity import false_alarm_probability
+from riins_fdi.parity import MOST_RELATED, false_alarm_probability
 from riins_imu_fusion.adaptive import AdaptiveSettings
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.drift_compensated import CompensationSettings
@@ -90,6 +90,8 @@ class FusionConfig:
         if self.stuck_count == 1:
             raise SettingError('"stuck_count" must be 0 (never) or at least 2')
         n = self.array().n
+        if self.parity_test == "direct_comparison" and n > MOST_RELATED:
+            raise SettingError(f'"parity_test": direct_comparison takes at most {MOST_RELATED} sensors, not {n}')
         if len(self.groups) not in (0, n):
             raise SettingError(f'"groups" must have 0 or {n} elements, not {len(self.groups)}')
         if self.groups and max(self.groups) >= n:

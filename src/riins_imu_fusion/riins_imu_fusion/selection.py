@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from riins_core.settings import nearest
 from riins_fdi.health import NEVER_NS
+from riins_fdi.parity import MOST_RELATED
 from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.judges import PARITY_TESTS
@@ -34,11 +35,13 @@ class Selection(NamedTuple):
         return f"fusion {self.fusion}, parity test {self.parity_test}, sequential test {self.sequential_test}, noise as {noise}"
 
 
-def refusal(fusion: str, parity_test: str, sequential_test: str) -> str:
-    """Why these names cannot be selected; '' when they can. An empty name is no change."""
+def refusal(fusion: str, parity_test: str, sequential_test: str, n: int) -> str:
+    """Why these names cannot be selected with n sensors; '' when they can. An empty name is no change."""
     for word, name in (("fusion", fusion), ("parity_test", parity_test), ("sequential_test", sequential_test)):
         if name and name not in CHOICES[word]:
             return f'no {word.replace("_", " ")} "{name}"{nearest(name, CHOICES[word])}: {", ".join(CHOICES[word])}'
+    if parity_test == "direct_comparison" and n > MOST_RELATED:
+        return f"direct_comparison takes at most {MOST_RELATED} sensors, not {n}"
     return ""
 
 

@@ -277,6 +277,15 @@ def test_a_selection_of_what_is_not_there_is_refused(names: tuple[str, str, str]
         build(FusionConfig, {"parity_test": "gtl"})
 
 
+def test_direct_comparison_of_too_many_sensors_is_refused() -> None:
+    many = normal(1, "axes", 0, 25, 3)
+    geometry = (many / np.linalg.norm(many, axis=1, keepdims=True)).ravel().tolist()
+    result = FusionPipeline(build(FusionConfig, {"geometry": geometry})).set_method(parity_test="direct_comparison")
+    assert not result.success and result.message == "direct_comparison takes at most 24 sensors, not 25"
+    with pytest.raises(SettingError, match="at most 24 sensors"):
+        build(FusionConfig, {"geometry": geometry, "parity_test": "direct_comparison"})
+
+
 def test_a_selection_whose_stamp_has_passed_is_refused_and_counted() -> None:
     feed, pipeline = Feed(100), FusionPipeline(CONFIG)
     feed.into(pipeline)
