@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
-from .plots import INK, STATE_COLORS, Figure, Panel
+from .figure import INK, STATE_COLORS, Figure, Panel
 
 STYLE = """
 :root { --ink: #1f2937; --muted: #6b7280; --line: #e5e7eb; --ground: #f8fafc; --good: #047857; --bad: #b91c1c; --accent: #0072b2 }

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Patch
 
-from .plots import INK, MUTED, STATE_COLORS, Figure, Panel
+from .figure import INK, MUTED, STATE_COLORS, Figure, Panel
 
 STYLE: dict[str, Any] = {
     "font.size": 10, "axes.edgecolor": MUTED, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK, "axes.grid": True,

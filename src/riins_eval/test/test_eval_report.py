@@ -13,6 +13,7 @@ from test_eval_metrics import S, make_track
 from test_eval_score import make_record
 
 from riins_eval import plots
+from riins_eval.figure import MOST_POINTS, thin
 from riins_eval.report import write_report
 from riins_eval.run_record import HealthChange, RunRecord
 
@@ -30,8 +31,8 @@ def record() -> RunRecord:
 def test_thinning_keeps_the_extremes_and_the_limit():
     y = np.random.default_rng(1).normal(size=43200)
     y[777], y[40000] = 50.0, -60.0
-    x, thinned = plots.thin(np.arange(43200.0), y)
-    assert len(x) <= plots.MOST_POINTS
+    x, thinned = thin(np.arange(43200.0), y)
+    assert len(x) <= MOST_POINTS
     assert thinned.max() == 50.0 and thinned.min() == -60.0
     assert (np.diff(x) > 0).all()
     assert (y[x.astype(int)] == thinned).all()
@@ -45,7 +46,7 @@ def test_every_figure_is_made_and_none_is_too_large(record):
         assert [f.key for f in made] == ["track", "position", "velocity", "attitude", "innovations", "health"]
         for figure in made:
             for panel in figure.panels:
-                assert all(len(t.x) == len(t.y) <= plots.MOST_POINTS + 2 for t in panel.traces)
+                assert all(len(t.x) == len(t.y) <= MOST_POINTS + 2 for t in panel.traces)
                 assert all(len(b.x) == len(b.low) == len(b.high) for b in panel.bands)
 
 

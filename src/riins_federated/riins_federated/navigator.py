@@ -52,12 +52,8 @@ class Navigator:
         self._filter = IntegratedFilter(config)
         self._rank = {local.name: i for i, local in enumerate(self._filter.subfilters)}
         self._max_delay = to_ns(config.max_delay_s)
-        self._period = Due(
-            to_ns(config.covariance_period_s),
-            to_ns(config.height.period_s) if config.height.enabled else 0,
-            to_ns(config.settle_period_s),
-            to_ns(config.feedback_period_s),
-        )
+        height_s = config.height.period_s if config.height.enabled else 0.0
+        self._period = Due(to_ns(config.covariance_period_s), to_ns(height_s), to_ns(config.settle_period_s), to_ns(config.feedback_period_s))
         self._initials: list[InitialState] = []
         self._log = Logbook()
         self._last_ns: int | None = None
@@ -210,16 +206,9 @@ class Navigator:
     def status(self) -> FederatedReport:
         """State of the subfilters and counts, as of the newest IMU sample."""
         beta = self._filter.beta if self._filter.running else np.zeros(len(self._rank))
-        return FederatedReport(
-            self._last_ns or 0,
-            self._filter.mode(),
-            tuple(local.report(float(beta[i])) for i, local in enumerate(self._filter.subfilters)),
-            self.imu_received,
-            self.imu_lost,
-            self.imu_rejected,
-            self.restarts,
-            self.rollbacks,
-        )
+        reports = tuple(local.report(float(share)) for local, share in zip(self._filter.subfilters, beta[: len(self._rank)], strict=True))
+        counts = (self.imu_received, self.imu_lost, self.imu_rejected, self.restarts, self.rollbacks)
+        return FederatedReport(self._last_ns or 0, self._filter.mode(), reports, *counts)
 
     def finish(self) -> None:
         """End of the recording: everything is settled."""
