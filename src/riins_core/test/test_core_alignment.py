@@ -8,7 +8,7 @@ import pytest
 from riins_core.alignment.coarse import analytic, check_still, triad, wahba_static
 from riins_core.alignment.observability import observability
 from riins_core.alignment.redundant import AttitudeFilter, PairFilter, align_redundant, fuse_means, largest_nc
-from riins_core.alignment.result import AlignmentError, attitude_error, bias_covariance, bounds
+from riins_core.alignment.result import AlignmentError, attitude_error, bias_covariance, bounds, settled_after
 from riins_core.alignment.stationary import ImuNoise, StationarySettings, align_stationary, mechanize, model
 from riins_core.earth import earth_rate_n, gravity
 from riins_core.imu_array import ImuArray, dodecahedron
@@ -181,6 +181,30 @@ def test_common_bias_and_masks():
     gyro, accel, C = outputs((0.0, 0.0, 1.0), lat, 1, 10, np.array([0, 0, 1, 0, 0, 0.0]), np.zeros(6))  # gyro 3 is off by 1 rad/s
     found = align_redundant(gyro, accel, 1.0, lat, (ARRAY, ARRAY), (NOISE_G, NOISE_A), (DRIFT, BIAS), masks=(0b111011, None))
     assert abs(attitude_error(found.C_nb, C)[2]) < 5.0 * found.sigma[2]
+
+
+def test_a_sensor_isolated_in_mid_alignment_leaves_nothing_behind():
+    lat, masks = math.radians(45.0), (0b111011, None)
+    gyro, accel, C = outputs((0.01, 0.0, 2.0), lat, 4, 40, np.zeros(6), np.zeros(6))
+    gyro[5:, 2] += 50.0 * DEG_PER_H
+    whole, fresh = (AttitudeFilter(lat, (ARRAY, ARRAY), NOISE_G, NOISE_A, (DRIFT, BIAS)) for _ in range(2))
+    fresh.isolate(masks)
+    for k in range(40):
+        if k == 20:
+            assert abs(attitude_error(whole.C_nb, C)[2]) > 60.0 * ARCMIN
+            whole.isolate(masks)
+        whole.update(gyro[k], accel[k])
+        if k >= 20:
+            fresh.update(gyro[k], accel[k])
+    assert np.array_equal(whole.C_nb, fresh.C_nb)
+    assert abs(attitude_error(whole.C_nb, C)[2]) < 3.5 * whole.result(40.0).sigma[2] < 60.0 * ARCMIN
+    with pytest.raises(ValueError, match="do not span"):
+        whole.isolate((0b000011, None))
+
+
+def test_settle_report():
+    t, sigma = np.arange(1.0, 6.0), np.array([9.0, 4.0, 6.0, 3.0, 2.0])
+    assert [settled_after(t, sigma, limit) for limit in (18.0, 12.0, 11.0, 3.0)] == [1.0, 2.0, 4.0, math.inf]
 
 
 def test_a_base_that_is_not_at_rest_is_refused():

@@ -17,7 +17,6 @@ from riins_core.alignment.coarse import check_still, triad
 from riins_core.alignment.result import Alignment, AlignmentError, bias_covariance, check_latitude
 from riins_core.alignment.stationary import ImuNoise
 from riins_core.alignment.swaying import align_swaying
-from riins_core.earth import OMEGA_IE
 from riins_core.kalman import update
 from riins_core.rotation import euler_from_dcm, exp_so3
 
@@ -88,9 +87,3 @@ def hot_start(rate: Array, force: Array, dt: float, lat: float, imu: ImuNoise, s
         )
     phi, P, _ = update(np.zeros(3), P, np.array([difference]), np.array([[0.0, 0.0, 1.0]]), np.array([[variance]]))
     return Alignment("hot start", exp_so3(phi) @ C, P, total)
-
-
-def seconds_needed(lat: float, imu: ImuNoise, sigma: float) -> float:
-    """Data [s] after which white noise alone leaves `sigma` [rad] of heading at rest: (arw / (W cos L sigma))^2."""
-    check_latitude(lat)
-    return (imu.arw / (OMEGA_IE * math.cos(lat) * sigma)) ** 2

@@ -156,7 +156,7 @@ class AttitudeFilter:
     arrays : geometry of gyros and of accelerometers
     noise_g, noise_a : standard deviation of one output, rad/s and m/s^2
     bias, common : as in `align_redundant`: of the weights of the sensors among each other, and of the covariance given out
-    masks : healthy sensors; may be changed between updates (`masks`), then `restart` or go on
+    masks : healthy sensors
 
     Attributes
     ----------
@@ -185,6 +185,12 @@ class AttitudeFilter:
         self._references = (earth_rate_n(lat), np.array([0.0, 0.0, -float(gravity(lat, 0.0))]))
         self.C_nb: Array | None = None
         self.P: Array = np.zeros((3, 3))
+
+    def isolate(self, masks: tuple[Mask, Mask]) -> None:
+        """Go on with these sensors, from nothing: what an isolated one has put in is not kept. A few seconds bring all back."""
+        for array, mask in zip(self.arrays, masks, strict=True):
+            array.used(mask)
+        self.masks, self.C_nb = masks, None
 
     def update(self, gyro: Array, accel: Array) -> None:
         """One step with the outputs (n,) of gyros and accelerometers."""

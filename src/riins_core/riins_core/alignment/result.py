@@ -1,6 +1,6 @@
 """What an alignment hands back, when it refuses, and the limits no alignment from the IMU alone can beat.
 
-Lives here: `Alignment`, `AlignmentError`, `check_latitude`, `bounds`, `attitude_error`, `bias_covariance`.
+Lives here: `Alignment`, `AlignmentError`, `check_latitude`, `bounds`, `settled_after`, `attitude_error`, `bias_covariance`.
 Does not live here: any method (the other modules of this package).
 """
 
@@ -89,6 +89,26 @@ def bounds(lat: float, sigma_g: float, sigma_a: float) -> tuple[float, float]:
     level, heading : rad
     """
     return sigma_a / float(gravity(lat, 0.0)), sigma_g / (OMEGA_IE * math.cos(lat))
+
+
+def settled_after(t: Array, sigma: Array, limit: float, factor: float = 2.0) -> float:
+    """Time [s] from which the heading's error bound stays inside a limit, as IMO A.821(19) and A.424(XI) ask of a gyrocompass.
+
+    Parameters
+    ----------
+    t : (k,), s
+    sigma : (k,), standard deviation of the heading at these times, rad
+    limit : rad
+    factor : the bound is factor sigma
+
+    Returns
+    -------
+    s; infinite where the last bound is outside
+    """
+    outside = np.flatnonzero(factor * np.asarray(sigma) > limit)
+    if not len(outside):
+        return float(t[0])
+    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else math.inf
 
 
 def bias_covariance(lat: float, C_nb: Array, cov_g: Array, cov_a: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.alignment.coarse import triad
-from riins_core.alignment.result import Alignment, AlignmentError, attitude_error, bounds
+from riins_core.alignment.result import Alignment, AlignmentError, attitude_error, bounds, settled_after
 from riins_core.alignment.stationary import ImuNoise, align_stationary
 from riins_core.alignment.stored import Aids, Pass
 from riins_core.alignment.swaying import SwayingSettings, align_swaying
@@ -45,6 +45,8 @@ SEAS = {
         VesselSettings(length_m=30.0, roll_deg_per_m=4.0, roll_period_s=7.0, pitch_deg_per_m=2.5, yaw_deg_per_m=1.0),
     ),
 }
+LIMIT = 1.0 * DEG
+"""A heading one may sail by."""
 AIDS = {"velocity": 0.05, "log": 0.05}
 """Standard deviation of each axis, m/s, 1 Hz: GNSS velocity NED, log in the body."""
 
@@ -150,10 +152,13 @@ def _motion(seeds: int, progress: Progress) -> tuple[list[Row], list[Curve]]:
     rows: list[Row] = []
     curves: list[Curve] = []
     for i, (kind, name) in enumerate((("velocity", "GNSS velocity"), ("log", "Doppler log"))):
-        errors, scaled = [], []
+        errors, scaled, tilts, times = [], [], [], []
         for s in range(seeds):
             found, history, truth = in_motion(kind, s)
-            errors.append(abs(attitude_error(found.C_nb, truth.C_nb[-1])[2]) / ARCMIN)
+            phi = attitude_error(found.C_nb, truth.C_nb[-1])
+            errors.append(abs(phi[2]) / ARCMIN)
+            tilts.append(_rms(phi[:2]) / bounds(LAT, SHIP.bias_g, SHIP.bias_a)[0])
+            times.append(settled_after(history.t, history.sigma[:, 2], LIMIT))
             scaled.append(errors[-1] * ARCMIN / found.sigma[2])
             if s == 0:
                 curves.append((name, history.t, _errors(history, truth), history.sigma))
@@ -162,7 +167,10 @@ def _motion(seeds: int, progress: Progress) -> tuple[list[Row], list[Curve]]:
             row(None, f"{name}, unknown heading, {UNDER_WAY_S:.0f} s: heading, arcmin, RMS", errors, centre=_rms),
             row(None, f"{name}: part within 3 sigma of its own covariance", np.array(scaled) <= 3.0, ok=lambda r: r.value >= 0.95),
             row(None, f"{name}: heading error / own sigma, RMS", scaled, centre=_rms),
-        ]
+            row(None, f"{name}: tilt / (bias/g), RMS", tilts, centre=_rms, ok=lambda r: r.value < 1.0,
+                remark="below the bound of a ship that does not turn: the turn tells bias and tilt apart"),
+            row(None, f"{name}: 2 sigma of the heading inside 1° after, s", times),
+        ]  # fmt: skip
     return rows, curves
 
 
