@@ -124,6 +124,14 @@ STUDIES: dict[str, Reproduction] = {
         seeds=20,
         quick_seeds=4,
     ),
+    "aircraft": Reproduction(
+        "The aircraft with GPS, Doppler and star sensor",
+        "Trajectory, table 1 and table 2 of seed 002 in a linear simulation of 36 error states, with and without the star sensor, with white and "
+        "correlated GPS.",
+        (Chapter("riins_eval.studies.aircraft", "Twenty minutes of flight"),),
+        beside="paper",
+        quick_seeds=4,
+    ),
 }
 RECORDINGS = Path("../shared/data")
 """Where recordings are looked for if nothing else is said."""
