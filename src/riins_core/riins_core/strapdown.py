@@ -236,6 +236,26 @@ def _advance(
 
 
 @jit
+def _advance_sample(
+    nav: Array, dtheta_prev: Array, dv_prev: Array, rate: Array, force: Array, dt: float, bias_g: Array, bias_a: Array, sums: Array, turn: Array
+) -> None:
+    _advance(
+        nav,
+        dtheta_prev,
+        dv_prev,
+        (rate[0] - bias_g[0]) * dt,
+        (rate[1] - bias_g[1]) * dt,
+        (rate[2] - bias_g[2]) * dt,
+        (force[0] - bias_a[0]) * dt,
+        (force[1] - bias_a[1]) * dt,
+        (force[2] - bias_a[2]) * dt,
+        dt,
+        sums,
+        turn,
+    )
+
+
+@jit
 def strapdown_block(
     nav: Array,
     dtheta_prev: Array,
@@ -269,21 +289,7 @@ def strapdown_block(
     """
     turn = np.empty((3, 3))
     for i in range(rate.shape[0]):
-        d = dt[i]
-        _advance(
-            nav,
-            dtheta_prev,
-            dv_prev,
-            (rate[i, 0] - bias_g[0]) * d,
-            (rate[i, 1] - bias_g[1]) * d,
-            (rate[i, 2] - bias_g[2]) * d,
-            (force[i, 0] - bias_a[0]) * d,
-            (force[i, 1] - bias_a[1]) * d,
-            (force[i, 2] - bias_a[2]) * d,
-            d,
-            sums,
-            turn,
-        )
+        _advance_sample(nav, dtheta_prev, dv_prev, rate[i], force[i], dt[i], bias_g, bias_a, sums, turn)
 
 
 @jit
@@ -310,20 +316,6 @@ def strapdown_slaved(
     """
     turn = np.empty((3, 3))
     for i in range(rate.shape[0]):
-        d = dt[i]
-        _advance(
-            nav,
-            dtheta_prev,
-            dv_prev,
-            (rate[i, 0] - bias_g[0]) * d,
-            (rate[i, 1] - bias_g[1]) * d,
-            (rate[i, 2] - bias_g[2]) * d,
-            (force[i, 0] - bias_a[0]) * d,
-            (force[i, 1] - bias_a[1]) * d,
-            (force[i, 2] - bias_a[2]) * d,
-            d,
-            sums,
-            turn,
-        )
+        _advance_sample(nav, dtheta_prev, dv_prev, rate[i], force[i], dt[i], bias_g, bias_a, sums, turn)
         nav[2] = height[i]
         nav[5] = v_down[i]
