@@ -182,7 +182,8 @@ class ImprovedChiSquare(InnovationTest):
         self._state = (np.zeros(dof), np.zeros(self.kept), np.zeros(1, dtype=np.int64))
 
     def _run(self, u: Array, statistic: Array, alarm: NDArray[np.bool_]) -> None:
-        _improved(u, np.array(self.membership), self.relief, self.threshold, self.restart, *self._state, statistic, alarm)
+        previous, largest, counts = self._state
+        _improved(u, np.array(self.membership), self.relief, self.threshold, self.restart, previous, largest, counts, statistic, alarm)
 
 
 @jit
@@ -244,7 +245,8 @@ class WindowedInnovationGlr(InnovationTest):
         self._state = (np.zeros((int(lengths[-1]) + 1, dof)), np.zeros(1, dtype=np.int64))
 
     def _run(self, u: Array, statistic: Array, alarm: NDArray[np.bool_]) -> None:
-        _windowed(u, self.lengths, self.threshold, self.restart, *self._state, statistic, alarm)
+        sums, counts = self._state
+        _windowed(u, self.lengths, self.threshold, self.restart, sums, counts, statistic, alarm)
 
 
 class AveragedInnovation(WindowedInnovationGlr):
@@ -301,7 +303,8 @@ class Mewma(InnovationTest):
         self._state = (np.zeros(dof),)
 
     def _run(self, u: Array, statistic: Array, alarm: NDArray[np.bool_]) -> None:
-        _mewma(u, self.weight, self.threshold, self.restart, *self._state, statistic, alarm)
+        (mean,) = self._state
+        _mewma(u, self.weight, self.threshold, self.restart, mean, statistic, alarm)
 
 
 @jit
@@ -342,7 +345,8 @@ class InnovationCusum(InnovationTest):
         self._state = (np.zeros((dof, 2)),)
 
     def _run(self, u: Array, statistic: Array, alarm: NDArray[np.bool_]) -> None:
-        _cusum(u, self.reference, self.threshold, self.restart, *self._state, statistic, alarm)
+        (g,) = self._state
+        _cusum(u, self.reference, self.threshold, self.restart, g, statistic, alarm)
 
 
 INNOVATION_TESTS: dict[str, Callable[..., InnovationTest]] = {

@@ -90,8 +90,9 @@ def fly(
             aids = [None if any(f.aid == aid and f.covers(k) for f in faults) else m for aid, m in enumerate(aids)]
         if only is not None:
             aids = [m if only(k, aid) else None for aid, m in enumerate(aids)]
-        if weight != 1.0 and aids[GPS] is not None:
-            aids[GPS] = Measurement(aids[GPS].z, aids[GPS].H, aids[GPS].R * weight)
+        gps = aids[GPS]
+        if weight != 1.0 and gps is not None:
+            aids[GPS] = Measurement(gps.z, gps.H, gps.R * weight)
         verdicts = structure.epoch(made.Phi[k], made.Qd[k], aids)
         error[k - first], P[k - first] = structure.x - given.truth[k], structure.P[:7, :7]
         for aid, verdict in enumerate(verdicts):
@@ -162,9 +163,9 @@ def voyages(seeds: int, progress: Progress) -> dict[str, dict[str, list[Array]]]
             each = out[name]
             each["rms"].append(flown.rms())
             each["nees"].append(np.array(flown.nees()))
-            each["rejected"].append(np.count_nonzero(flown.given & ~faulty & ~flown.passed))
+            each["rejected"].append(np.array(np.count_nonzero(flown.given & ~faulty & ~flown.passed)))
             each["faulty"].append(np.array([np.count_nonzero(faulty), np.count_nonzero(faulty & flown.fused)]))
-            each["isolated"].append(np.count_nonzero(np.diff(flown.isolated.astype(int), axis=0) > 0))
+            each["isolated"].append(np.array(np.count_nonzero(np.diff(flown.isolated.astype(int), axis=0) > 0)))
             progress((seed + (i + 1) / len(STRUCTURES)) / seeds)
     return out
 
