@@ -57,7 +57,7 @@ class FusionConfig:
     """Everything the fusion needs to know before it starts. Default noise of one sensor: sqrt 2 times that of the ship paper's fused triad."""
 
     rate_hz: float = setting(100.0, "nominal sample rate", "Hz", 0.1, 100e3)
-    method: str = setting("wls", "how redundant samples are fused; ~/set_fusion_method changes it while running", choices=tuple(FUSION))
+    method: str = setting("glr_kf", "how redundant samples are fused; ~/set_fusion_method changes it while running", choices=tuple(FUSION))
     parity_test: str = setting("glt", "test of each sample; likewise", choices=tuple(PARITY_TESTS))
     sequential_test: str = setting("none", "test over many samples beside it; likewise", choices=tuple(SEQUENTIAL_TESTS))
     adapt_noise: bool = setting(False, "thresholds and weights follow the noise as estimated while running; likewise")

@@ -19,7 +19,7 @@ from riins_imu_fusion.types import FusedBlock, Reason, Recall, join
 
 DT, DT_S = 10_000_000, 0.01
 ALL = 0b111111
-CONFIG = FusionConfig()
+CONFIG = FusionConfig(method="wls")
 SIGMA = CONFIG.sigma()[:, 0]
 TURN = np.array([0.0, 0.0, np.radians(1.5)])
 GRAVITY = np.array([0.0, 0.0, -9.8])
