@@ -81,6 +81,8 @@ def test_what_is_not_moored_is_refused(waves):
         align_swaying(*moored(swing=100.0).means(1, M, DT), DT, LAT, IMU)
     with pytest.raises(AlignmentError, match="wrong latitude"):
         align_swaying(rate, force, DT, LAT + 5.0 * DEG, IMU)
+    with pytest.raises(AlignmentError, match="gyro bias of"):
+        align_swaying(rate, force, DT, LAT + 1.5 * DEG, IMU)
     with pytest.raises(AlignmentError, match="beyond 85 deg"):
         align_swaying(rate, force, DT, 86.0 * DEG, IMU)
     with pytest.raises(AlignmentError, match="needs 300 s"):
