@@ -168,4 +168,5 @@ def _figure(pieces: list[Piece], found: list[Found]) -> Figure:
         canvas.supxlabel("time [s]")
         canvas.supylabel("heading error [°]")
 
-    return Figure("alignment_sea", "Sea recording: heading from IMU and log, the last pass over each piece, with 3 sigma", draw)
+    title = "Sea recording: heading from IMU and log, last pass, with 3 sigma (peaks: turns between two epochs of the reference)"
+    return Figure("alignment_sea", title, draw)
