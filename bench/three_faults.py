@@ -1,6 +1,6 @@
 """Three inertial sensors fail one after the other while the ship turns in sea state 5: what is fused then, and the error beside the twin's.
 
-Lives here: runs offline over seeds, and live with recording; `./riins exec python bench/three_faults.py [--live]`, exit status 1 if missed.
+Lives here: offline over seeds, and live with recording; `./riins exec python bench/three_faults.py [--live]`, status 1 if the default method misses.
 Does not live here: the scenario (riins_bringup/scenarios/three_faults.yaml), graph and launcher (riins_bringup), scoring (riins_eval).
 """
 
@@ -37,6 +37,8 @@ METHODS = {
     "glr_kf": {"method": "glr_kf"},
 }
 LIVE = ("wls", "glr_kf")
+DEFAULT = "glr_kf"
+"""The method that must reach the aim."""
 AIM = 1.1
 """Error over that of the fault-free twin."""
 KINDS = ("position", "velocity", "heading", "tilt")
@@ -230,7 +232,7 @@ def main() -> int:
         draw(shown, given.png, f"Three inertial faults, one after another: {'live' if given.live else 'offline'}")
     for line in missed:
         console.print(f"missed: {line}", style="red", highlight=False)
-    return 1 if missed else 0
+    return 1 if any(DEFAULT in line for line in missed) else 0  # the others stand beside it
 
 
 if __name__ == "__main__":
