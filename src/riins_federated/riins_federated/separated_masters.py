@@ -147,12 +147,12 @@ class SeparatedMasters(Structure):
 
     def _verdict(self, index: int, reported: Measurement, measurement: Measurement) -> Verdict:
         """Judge by the master and by the leave-one-out master of the aid."""
-        statistic, threshold, passed = self._judge(index, reported, measurement, self._masters[self._all])
+        statistic, threshold, passed, held = self._judge(index, reported, measurement, self._masters[self._all])
         if self.settings.left_out:
             other = self.without(index).nis(measurement)[0]
-            statistic, passed = max(statistic, other), passed and other <= threshold
+            statistic, passed, held = max(statistic, other), passed and other <= threshold, held and other <= threshold
         self._failed[index] = 0 if passed else self._failed[index] + 1
-        return Verdict(statistic, threshold, passed, passed and not self.isolated[index])
+        return Verdict(statistic, threshold, passed, passed and not self.isolated[index], held)
 
     def _part(self, matrix: Array) -> Array:
         rows = list(self.settings.rows)

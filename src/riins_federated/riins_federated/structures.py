@@ -34,6 +34,8 @@ class Verdict(NamedTuple):
     passed: bool
     """no test failed"""
     fused: bool
+    held: bool
+    """left out only since the further test has alarmed lately"""
 
 
 @dataclass(frozen=True)
@@ -175,11 +177,11 @@ class Structure:
     def _threshold(self, measurement: Measurement) -> float:
         return np.inf if self.gate.pfa is None else nis_threshold(self.gate.pfa, len(measurement.z))
 
-    def _judge(self, index: int, reported: Measurement, measurement: Measurement, by: Estimate) -> tuple[float, float, bool]:
-        """NIS, threshold, and whether both tests pass."""
+    def _judge(self, index: int, reported: Measurement, measurement: Measurement, by: Estimate) -> tuple[float, float, bool, bool]:
+        """NIS, threshold, whether both tests pass, and whether it is only held."""
         statistic, standardized = by.nis(measurement)
         threshold = self._threshold(measurement)
-        passed = statistic <= threshold and statistic < np.inf
+        passed, held = statistic <= threshold and statistic < np.inf, False
         if self._noise is not None:
             self._noise[index].learn(measurement.z - measurement.H @ by.x, reported.R)
         if self.gate.test is not None:
@@ -188,12 +190,12 @@ class Structure:
                 test = self._tests[index] = self.gate.test(len(measurement.z))
             if self._held[index]:
                 self._held[index] -= 1
-                passed = False
+                passed, held = False, passed
             elif test.step(standardized).alarm:
                 self._held[index] = self.gate.hold
                 test.reset()
                 passed = False
-        return statistic, threshold, passed
+        return statistic, threshold, passed, held
 
 
 class FederatedFilter(Structure):
@@ -251,11 +253,11 @@ class FederatedFilter(Structure):
             if reported is None or measurement is None:
                 verdicts.append(None)
                 continue
-            statistic, threshold, passed = self._judge(i, reported, measurement, self._local[i] if self.retention else self._fused)
+            statistic, threshold, passed, held = self._judge(i, reported, measurement, self._local[i] if self.retention else self._fused)
             self._count(i, measurement)
             if passed:
                 self._local[i].update(measurement)
-            verdicts.append(Verdict(statistic, threshold, passed, passed))
+            verdicts.append(Verdict(statistic, threshold, passed, passed, held))
         if self.retention or any(verdict and verdict.fused for verdict in verdicts):
             self._fuse()
         return verdicts

@@ -18,6 +18,7 @@ from riins_core.sensor_errors import ARCMIN
 from riins_eval.studies import ship_figures
 from riins_eval.studies.rows import Figure, Progress, Row, row
 from riins_eval.studies.ship_model import BDS, BEGIN, EPOCHS, GPS, SEED_FAULTS, SIGMA, Fault, Model, Voyage, epoch_of, model, voyage
+from riins_fdi.innovation_tests import INNOVATION_TESTS
 from riins_federated.aiding import Measurement
 from riins_federated.separated_masters import SeparatedMasters, SeparationSettings
 from riins_federated.structures import FederatedFilter, Gate, Structure
@@ -28,10 +29,13 @@ SCORED = 780
 """First epoch that counts: t > 7800 s."""
 QUANTITIES = ("position", "velocity", "heading")
 PFA = 1e-5
+INTEGRITY_RISK = 1e-5
 RESETS = (epoch_of(2.0), epoch_of(6.0), epoch_of(10.0))
 ALONE = SeparationSettings(left_out=0)
 SEPARATED = SeparationSettings(navigation=tuple(range(7)))
-GATE, OPEN = Gate(PFA), Gate(pfa=None)
+GLR = functools.partial(INNOVATION_TESTS["windowed_glr"], epochs=1.0 / PFA, window=30)
+"""Over five minutes; its alarm leaves the aid out for as long."""
+GATE, OPEN, TESTED_GATE = Gate(PFA), Gate(pfa=None), Gate(PFA, GLR, 30)
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Flight:
     """One filter on one voyage, from epoch `first`.
 
     error (m, 17), its covariance P (m, 7, 7) of the navigation states, and for each aid (m, 3): whether there was a measurement, whether it passed,
-    whether it was fused, whether the aid was isolated.
+    whether it was fused, whether the aid was isolated, whether it was only held after an alarm of the further test.
     """
 
     first: int
@@ -49,6 +53,9 @@ class Flight:
     passed: NDArray[np.bool_]
     fused: NDArray[np.bool_]
     isolated: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    level: Array
+    """(m,), horizontal protection level each minute, m; not a number between, infinite where nothing can be tested"""
 
     def rms(self, first: int = SCORED) -> Array:
         """RMS of position [m], velocity [m/s] and heading [arcmin] from epoch `first`, (3,)."""
@@ -83,7 +90,8 @@ def fly(
     """
     m = last - first
     error, P = np.empty((m, made.Phi.shape[1])), np.empty((m, 7, 7))
-    flags = np.zeros((4, m, len(SIGMA)), dtype=np.bool_)
+    level = np.full(m, np.nan)
+    flags = np.zeros((5, m, len(SIGMA)), dtype=np.bool_)
     for k in range(first, last):
         aids = given.measurements(k, faults, outages, louder)
         if told:
@@ -98,13 +106,16 @@ def fly(
         for aid, verdict in enumerate(verdicts):
             if verdict is not None:
                 flags[:3, k - first, aid] = True, verdict.passed, verdict.fused
+                flags[4, k - first, aid] = verdict.held
         if isinstance(structure, SeparatedMasters):
             flags[3, k - first] = structure.isolated
-    return Flight(first, error, P, *flags)
+            if structure.settings.left_out and k % 6 == 0:
+                level[k - first] = structure.protection(INTEGRITY_RISK)
+    return Flight(first, error, P, *flags, level)
 
 
-def masters(P: Array, gate: Gate = GATE, settings: SeparationSettings = SEPARATED, adaptive: bool = False) -> SeparatedMasters:
-    """The information form that begins with covariance P."""
+def masters(P: Array, gate: Gate = TESTED_GATE, settings: SeparationSettings = SEPARATED, adaptive: bool = False) -> SeparatedMasters:
+    """The information form that begins with covariance P, with the NIS and the windowed GLR as gates."""
     return SeparatedMasters(np.zeros(len(P)), P, len(SIGMA), settings, gate=gate, adaptive=adaptive)
 
 
@@ -147,7 +158,8 @@ def _random_shares(seed: int) -> Array:
 def voyages(seeds: int, progress: Progress) -> dict[str, dict[str, list[Array]]]:
     """The seed's voyage, its faults and outages, once for each seed: RMS of each filter, and counts."""
     made = model()
-    out: dict[str, dict[str, list[Array]]] = {name: {"rms": [], "nees": [], "rejected": [], "faulty": [], "isolated": []} for name in STRUCTURES}
+    kinds = ("rms", "nees", "rejected", "faulty", "isolated", "level")
+    out: dict[str, dict[str, list[Array]]] = {name: {kind: [] for kind in kinds} for name in STRUCTURES}
     out |= {name: {"rms": []} for name in ("oracle", "pure INS", "position reset every 4 h (T1)", "calibration from the same fixes (T2)")}
     for seed in range(seeds):
         given = voyage(seed, made)
@@ -163,8 +175,12 @@ def voyages(seeds: int, progress: Progress) -> dict[str, dict[str, list[Array]]]
             each = out[name]
             each["rms"].append(flown.rms())
             each["nees"].append(np.array(flown.nees()))
-            each["rejected"].append(np.array(np.count_nonzero(flown.given & ~faulty & ~flown.passed)))
+            each["rejected"].append(np.array(np.count_nonzero(flown.given & ~faulty & ~flown.passed & ~flown.held)))
             each["faulty"].append(np.array([np.count_nonzero(faulty), np.count_nonzero(faulty & flown.fused)]))
+            off = np.hypot(*flown.error[:, :2].T)[SCORED - BEGIN :]
+            level = flown.level[SCORED - BEGIN :]
+            some = np.isfinite(level)
+            each["level"].append(np.array([some.sum(), (off[some] > level[some]).sum(), level[some].mean() if some.any() else np.nan]))
             each["isolated"].append(np.array(np.count_nonzero(np.diff(flown.isolated.astype(int), axis=0) > 0)))
             progress((seed + (i + 1) / len(STRUCTURES)) / seeds)
     return out
@@ -272,6 +288,9 @@ def _counts(flown: dict[str, dict[str, list[Array]]]) -> list[Row]:
         )
         faulty = np.array(each["faulty"])
         rows.append(row(25, f"{name}: faulty epochs fused, of {faulty[:, 0].sum()}", faulty[:, 1], ok=functools.partial(_most, 0.0)))
+    level = np.array(flown[BEST]["level"])
+    rows.append(row(None, f"{BEST}: mean horizontal protection level at risk {INTEGRITY_RISK:g}, m", level[:, 2]))
+    rows.append(row(None, f"{BEST}: errors above it, of {level[:, 0].sum():.0f}", level[:, 1], ok=lambda r: r.value == 0.0))
     rows.append(row(None, f"{BEST}: isolations by separation in 12 h", flown[BEST]["isolated"], remark="no fault of this voyage needs one"))
     return rows
 

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from riins_core.noise import normal
 from riins_eval.studies import ship_figures
 from riins_eval.studies.rows import Figure, Progress, Row, row
-from riins_eval.studies.ship import ALONE, BEST, PFA, Flight, federated, fly, masters
-from riins_eval.studies.ship_model import BEGIN, EPOCHS, GPS, PERIOD, SIGMA, Fault, epoch_of, model, voyage
+from riins_eval.studies.ship import ALONE, BEST, GATE, PFA, Flight, federated, fly, masters
+from riins_eval.studies.ship_model import BDS, BEGIN, EPOCHS, GPS, PERIOD, SIGMA, Fault, epoch_of, model, voyage
 from riins_fdi.innovation_tests import INNOVATION_TESTS
 from riins_federated.structures import Gate, Structure
 
 Array = NDArray[np.float64]
 
 ONSET = epoch_of(4.5)
-LASTS, LATER = 90, 120
-"""Epochs: a fault lasts 15 minutes, and 20 minutes later the deviation from the twin is read."""
+LASTS, SHORT, LATER = 90, 30, 120
+"""Epochs: a fault lasts 15 minutes, those of target 26 five as the seed's own; 20 minutes later the deviation from the twin is read."""
 STEPS = (60.0, 100.0, 150.0, 300.0)
 RAMPS = (0.05, 0.1, 0.2, 0.5, 1.0)
 HELD = 30
@@ -41,7 +41,8 @@ def _tested(name: str) -> Callable[[Array], Structure]:
 
 TESTED: dict[str, Callable[[Array], Structure]] = {
     BEST: masters,
-    "information form, NIS": lambda P: masters(P, settings=ALONE),
+    "leave-one-out masters, NIS without GLR": lambda P: masters(P, GATE),
+    "information form, NIS": lambda P: masters(P, GATE, ALONE),
     "no-reset, NIS": lambda P: federated(P, 1.0),
 } | {f"information form, NIS and {name}": _tested(name) for name in ("improved", "averaged", "mewma", "cusum", "windowed_glr")}
 
@@ -59,6 +60,7 @@ class Outcome(NamedTuple):
 def faults() -> dict[str, Fault]:
     """The table: steps [m] and ramps [m/s] of GPS to the north."""
     made = {f"step {size:g} m": Fault(GPS, ONSET, ONSET + LASTS, step=(size, 0.0)) for size in STEPS}
+    made |= {f"{label}, 5 min": fault._replace(last=ONSET + SHORT) for label, fault in made.items() if fault.step[0] >= 150.0}
     return made | {f"ramp {slope:g} m/s": Fault(GPS, ONSET, ONSET + LASTS, slope=(slope, 0.0)) for slope in RAMPS}
 
 
@@ -89,6 +91,20 @@ def table(seed: int, names: Sequence[str], which: dict[str, Fault]) -> dict[str,
         for label, fault in which.items():
             out[name][label] = outcome(fly(before.clone(), made, given, (fault,), outages=False, first=ONSET, last=last), twin, fault)
     return out
+
+
+def pulled_together(seed: int, slope: float) -> tuple[str, float]:
+    """GPS and BDS drawn north alike, m/s: which aid the default structure isolates first, and the largest shift [m]."""
+    made = model()
+    given = voyage(seed, made)
+    before = masters(made.P)
+    fly(before, made, given, outages=False, last=ONSET)
+    both = tuple(Fault(aid, ONSET, ONSET + LASTS, slope=(slope, 0.0)) for aid in (GPS, BDS))
+    twin = fly(before.clone(), made, given, outages=False, first=ONSET, last=ONSET + LASTS)
+    flown = fly(before.clone(), made, given, both, outages=False, first=ONSET, last=ONSET + LASTS)
+    first = np.where(flown.isolated.any(axis=0), flown.isolated.argmax(axis=0), EPOCHS)
+    named = ("GPS", "BDS", "log")[int(first.argmin())] if first.min() < EPOCHS else "none"
+    return named, float(np.hypot(*(flown.error - twin.error)[:, :2].T).max())
 
 
 class Drawn(NamedTuple):
@@ -144,8 +160,8 @@ def drawn(draws: int, progress: Progress) -> list[Drawn]:
 
 def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Sequence[Figure]]:
     """Rows and figures; with `quick` fewer tests, faults and draws, and no figures."""
-    names = list(TESTED)[:3] if quick else list(TESTED)
-    labels = ("step 150 m", "step 300 m", "ramp 0.2 m/s", "ramp 1 m/s") if quick else tuple(faults())
+    names = list(TESTED)[:4] if quick else list(TESTED)
+    labels = ("step 150 m, 5 min", "step 300 m, 5 min", "ramp 0.2 m/s", "ramp 1 m/s") if quick else tuple(faults())
     which = {label: fault for label, fault in faults().items() if label in labels}
     made: list[dict[str, dict[str, Outcome]]] = []
     for seed in range(seeds):
@@ -158,7 +174,12 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
             late = np.array([o.delay for o in each])
             part = np.isfinite(late).mean()
             after = f"after {late[np.isfinite(late)].mean():.0f} s" if part else "never"
-            rows.append(row(None, f"{label}: {name}: largest shift, m", [o.shift for o in each], remark=f"found in 15 min: {part:.0%}, {after}"))
+            rows.append(row(None, f"{label}: {name}: largest shift, m", [o.shift for o in each], remark=f"found while it lasts: {part:.0%}, {after}"))
+    for slope in (0.2, 1.0):
+        both = [pulled_together(seed, slope) for seed in range(seeds)]
+        named = ", ".join(f"{name} {sum(b[0] == name for b in both)}" for name in ("log", "GPS", "BDS", "none"))
+        remark = f"isolated first, of {seeds}: {named}. Two systems that lie alike against the log and the INS: not kept out"
+        rows.append(row(None, f"GPS and BDS pulled together {slope:g} m/s: largest shift in 15 min, m", [b[1] for b in both], remark=remark))
     draws = drawn(QUICK_DRAWS if quick else DRAWS, lambda part: progress(0.75 + 0.25 * part))
     rows.append(row(None, f"{len(draws)} drawn faults: epochs above 8 sigma that were fused", [d.fused for d in draws], ok=lambda r: r.value == 0.0))
     rows.append(row(None, "the same: largest shift, m", [d.shift for d in draws], remark=_worst(draws)))
@@ -181,10 +202,10 @@ def _targets(best: Sequence[dict[str, Outcome]]) -> list[Row]:
         return np.asarray(values(label, "delay") <= within, dtype=float)
 
     rows = [
-        row(26, "GPS step 300 m: faulty epochs fused", values("step 300 m", "fused"), ok=most(0.0)),
-        row(26, "GPS step 300 m: largest shift, m", values("step 300 m", "shift"), ok=most(15.0)),
-        row(26, "GPS step 150 m: found within 3 epochs", found("step 150 m", 30.0), ok=lambda r: r.value >= 0.95),
-        row(26, "GPS step 150 m: largest shift, m", values("step 150 m", "shift"), ok=most(25.0)),
+        row(26, "GPS step 300 m, 5 min: faulty epochs fused", values("step 300 m, 5 min", "fused"), ok=most(0.0)),
+        row(26, "GPS step 300 m, 5 min: largest shift, m", values("step 300 m, 5 min", "shift"), ok=most(15.0)),
+        row(26, "GPS step 150 m, 5 min: found within 3 epochs", found("step 150 m, 5 min", 30.0), ok=lambda r: r.value >= 0.95),
+        row(26, "GPS step 150 m, 5 min: largest shift, m", values("step 150 m, 5 min", "shift"), ok=most(25.0)),
         row(27, "GPS ramp 1 m/s: found after, s", values("ramp 1 m/s", "delay"), ok=most(180.0)),
         row(27, "GPS ramp 1 m/s: largest shift, m", values("ramp 1 m/s", "shift"), ok=most(60.0)),
         row(27, "GPS ramp 1 m/s: shift 20 min later, m", values("ramp 1 m/s", "later"), ok=most(2.0)),

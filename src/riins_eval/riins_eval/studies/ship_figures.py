@@ -64,7 +64,7 @@ def fault_figures(made: Sequence[Mapping[str, Mapping[str, Outcome]]], draws: Se
         axes = canvas.subplots(1, 2, sharey=True)
         for ax, kind in zip(axes, ("step", "ramp"), strict=True):
             for color, name in zip(_COLORS, made[0], strict=False):
-                labels = [label for label in made[0][name] if label.startswith(kind)]
+                labels = [label for label in made[0][name] if label.startswith(kind) and not label.endswith("min")]
                 shift = [np.mean([one[name][label].shift for one in made]) for label in labels]
                 ax.loglog([float(label.split()[1]) for label in labels], shift, "o-", color=color, label=name)
         axes[0].set(xlabel="step, m", ylabel="largest shift of the position, mean, m")
