@@ -244,7 +244,7 @@ def import_file(
 
 @app.command()
 def reproduce(
-    name: Annotated[str, typer.Argument(help="study: thesis, beyond, alignment, real (faults put into recordings)", metavar="NAME")],
+    name: Annotated[str, typer.Argument(help="study: thesis, beyond, alignment, ship, aircraft, real (faults put into recordings)", metavar="NAME")],
     quick: Annotated[bool, typer.Option("--quick", help="a tenth of the seeds and fewer epochs, for a first look")] = False,
     seeds: Annotated[int | None, typer.Option(help="seeds of everything random, or cases (default: thesis 50, real 200)", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
