@@ -89,7 +89,7 @@ STUDIES: dict[str, Reproduction] = {
     ),
     "alignment": Reproduction(
         "Alignment: at rest, in waves, under way",
-        "Seed 001 (12, 10 and 7 states), chapter 3 of the thesis (raw outputs of redundant sensors), a moored ship in waves, and heading found under way.",
+        "Seed 001 (12, 10 and 7 states), chapter 3 of the thesis (raw redundant outputs), a moored ship in waves, and heading found under way.",
         (
             Chapter("riins_eval.studies.alignment", "At rest: reduced-order filters, raw outputs, all twelve sensors"),
             Chapter("riins_eval.studies.alignment_at_sea", "A ship: moored in waves, and under way from unknown heading", 1.5),

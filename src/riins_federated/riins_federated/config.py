@@ -108,7 +108,7 @@ class NavigatorConfig:
     covariance_period_s: float = setting(1.0, "interval of the covariance propagation", "s", 0.01, 60.0)
     settle_period_s: float = setting(1.0, "interval of the settled state", "s", 0.01, 3600.0)
     feedback_period_s: float = setting(0.0, "output correction for this long, then feedback; 0: feedback at every measurement", "s", 0.0, 1e6)
-    calibration_period_s: float = setting(10.0, "interval at which the inertial biases are told to the fusion, measurement time; 0: never", "s", 0.0, 1e5)
+    calibration_period_s: float = setting(10.0, "interval at which the fusion is told the inertial biases, measurement time; 0: never", "s", 0.0, 1e5)
     calibration_lead_s: float = setting(
         20.0, "they hold from this much later on: more than max_delay_s and what the fusion may be ahead (10 s offline)", "s", 0.05, 1e5
     )

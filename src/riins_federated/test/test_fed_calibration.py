@@ -30,7 +30,8 @@ def test_one_of_each_interval_and_none_before_the_second() -> None:
     assert [c.effective_ns for state in states for c in one_by_one.take([state])] == [c.effective_ns for c in whole]
     assert whole[0].gyro_bias.tolist() == [10 * S, 20 * S, 30 * S]
     # gyro bias and Gauss-Markov drift together: variances 10 + 16 and twice the covariance of -2
-    assert np.diagonal(whole[0].gyro_covariance).tolist() == [22.0, 28.0, 30.0] and np.diagonal(whole[0].accel_covariance).tolist() == [13.0, 14.0, 15.0]
+    assert np.diagonal(whole[0].gyro_covariance).tolist() == [22.0, 28.0, 30.0]
+    assert np.diagonal(whole[0].accel_covariance).tolist() == [13.0, 14.0, 15.0]
 
 
 def test_none_while_there_is_no_solution_or_when_it_is_off() -> None:
