@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import astuple
 from functools import partial
 from typing import Any
 
@@ -63,7 +64,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._fused = self._settings.imu_topic_type == "fused"
         self._imu_topic = "imu/fused" if self._fused else "imu/data_raw"
         self._inputs: list[Any] = []
-        self._told: list[Any] = []  # commands we have published, which come back
+        self._told: set[tuple[Any, ...]] = set()  # commands we have published, which come back
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Compile, publish, subscribe, in this order: a sample must not wait for the compiler."""
@@ -162,8 +163,9 @@ class NavigatorNode(AutostartLifecycleNode):
 
     def _on_command(self, message: Any) -> None:
         """A command of a recording that is played."""
-        if self.active and message not in self._told and not convert.is_for_fusion(message.target):
-            problem = self._navigator.set_use(UseCommand(**convert.read_sensor_use(message)))
+        command = UseCommand(**convert.read_sensor_use(message))
+        if self.active and astuple(command) not in self._told and not convert.is_for_fusion(command.name):
+            problem = self._navigator.set_use(command)
             if problem:
                 self.get_logger().warning(f"command to {message.target} refused: {problem}")
 
@@ -176,11 +178,13 @@ class NavigatorNode(AutostartLifecycleNode):
 
     def _set_sensor_use(self, request: Any, response: Any) -> Any:
         stamp = convert.to_ns(request.effective) or self._navigator.status().stamp_ns + 1
-        response.message = self._navigator.set_use(UseCommand(request.target, request.use, stamp))
+        command = UseCommand(request.target, request.use, stamp)
+        response.message = self._navigator.set_use(command)
         response.success = not response.message
         if response.success:
-            self._told.append(convert.fill(msg.SensorUse, fields.sensor_use(stamp, request.target, request.use)))
-            self._published["nav/commands"].publish(self._told[-1])  # so that a recording can be navigated again
+            self._told.add(astuple(command))
+            told = convert.fill(msg.SensorUse, fields.sensor_use(stamp, request.target, request.use))
+            self._published["nav/commands"].publish(told)  # so that a recording can be navigated again
         return response
 
     # ---- output ----

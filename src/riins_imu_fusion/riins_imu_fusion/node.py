@@ -66,7 +66,7 @@ class ImuFusionNode(AutostartLifecycleNode):
             name: self.create_publisher(kind, name, profile(), qos_overriding_options=qos.overridable()) for name, (kind, profile) in OUTPUTS.items()
         }
         self._input = self.create_subscription(RedundantImu, "rimu/raw", self._on_sample, qos.imu(), qos_overriding_options=qos.overridable())
-        self._told: list[Any] = []  # commands we have published, which come back
+        self._told: set[tuple[Any, ...]] = set()  # what we have published, which comes back
         self._commands = self.create_subscription(
             SensorUse, "nav/commands", self._on_command, qos.latched(100), qos_overriding_options=qos.overridable()
         )
@@ -142,8 +142,9 @@ class ImuFusionNode(AutostartLifecycleNode):
 
     def _on_command(self, message: Any) -> None:
         """A command of a recording that is played."""
-        if self.active and message not in self._told and convert.is_for_fusion(message.target):
-            result = self._pipeline.set_sensor_use(message.target, message.use, convert.to_ns(message.header.stamp))
+        command = (message.target, message.use, convert.to_ns(message.header.stamp))
+        if self.active and command not in self._told and convert.is_for_fusion(message.target):
+            result = self._pipeline.set_sensor_use(*command)
             if not result.success:
                 self.get_logger().warning(f"command refused: {result.message}")
 
@@ -151,14 +152,15 @@ class ImuFusionNode(AutostartLifecycleNode):
         result = self._pipeline.set_sensor_use(request.target, request.use, convert.to_ns(request.effective))
         response.success, response.message = result.success, result.message
         if result.success:
-            self._told.append(convert.fill(SensorUse, fields.sensor_use(result.effective_ns, request.target, request.use)))
-            self._published["nav/commands"].publish(self._told[-1])  # for navigating a recording again
+            self._told.add((request.target, request.use, result.effective_ns))
+            self._publish("nav/commands", fields.sensor_use(result.effective_ns, request.target, request.use))  # for navigating a recording again
         return response
 
     def _on_method(self, message: Any) -> None:
         """A selection of a recording that is played."""
-        if self.active and message not in self._told:
-            result = self._pipeline.set_method(**convert.read_fusion_method(message))
+        selection = convert.read_fusion_method(message)
+        if self.active and tuple(selection.values()) not in self._told:
+            result = self._pipeline.set_method(**selection)
             if not result.success:
                 self.get_logger().warning(f"selection refused: {result.message}")
 
@@ -177,8 +179,9 @@ class ImuFusionNode(AutostartLifecycleNode):
 
     def _tell_method(self, stamp_ns: int) -> None:
         """Publish what is selected from a stamp on, so that a recording can be navigated again."""
-        self._told.append(convert.fill(FusionMethod, fields.fusion_method(stamp_ns, self._pipeline.selected(stamp_ns))))
-        self._published["fdi/method"].publish(self._told[-1])
+        selected = self._pipeline.selected(stamp_ns)
+        self._told.add((*selected, stamp_ns))
+        self._publish("fdi/method", fields.fusion_method(stamp_ns, selected))
 
     def _diagnose(self) -> None:
         if not self.active:
