@@ -158,17 +158,17 @@ class _Run:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
         others_from = [t for t in (*AID_TOPICS, INITIAL_TOPIC) if t in self.reader.topics]
         commands_from = [t for t in (COMMAND_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
-        commands = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
+        heard = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
+        # a busy recorder may hear of a command long after the sample it holds from: its own stamp counts if it is earlier
+        commands = [(min(log_ns, c.effective_ns if isinstance(c, _Method) else c.stamp_ns), c) for log_ns, c in heard]
         start = self.reader.start_ns
         while start <= self.reader.end_ns:
             stop = start + WINDOW_NS
             c = self.reader.columns(RAW_IMU, names, start, stop)
             others: list[tuple[int, Aid | InitialState | UseCommand | _Method]] = []
             others += [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
-            # a recorder may hear of a command a little after the sample it holds from: those early in the next window are known in this one
-            told = sum(log_ns < stop + self._max_delay for log_ns, _ in commands)
-            others += commands[:told]
-            commands = commands[told:]
+            others += [c for c in commands if c[0] < stop + self._max_delay]
+            commands = [c for c in commands if c[0] >= stop + self._max_delay]
             yield stop, _Window(
                 c["log_time"], c["header.stamp"].astype(np.int64), c["sequence"].astype(np.uint32), c["gyro"], c["accel"],
                 c["gyro_valid"].astype(np.uint64), c["accel_valid"].astype(np.uint64), c["gyro.count"], c["accel.count"], others,

@@ -254,7 +254,7 @@ def test_a_change_of_method_in_the_bag_is_obeyed_at_its_stamp(bag, tmp_path, run
             writer.write(one.topic, one.msgtype, one.data, one.log_ns)
         start = offline.navigate(bag).record
         for stamp, chosen, log_ns in (
-            (0, Selection("wls", "glt", "none", False), at), (at, Selection("opt", "svd", "cusum", False), at + 900_000_000)
+            (0, Selection("wls", "glt", "none", False), at), (at, Selection("opt", "svd", "cusum", False), at + 5_000_000_000)
         ):  # fmt: skip
             writer.write_message("/fdi/method", "riins_msgs/msg/FusionMethod", fields.fusion_method(stamp, chosen), log_ns)
     told = offline.navigate(tmp_path / "told", tmp_path / "again", record="all")
