@@ -122,6 +122,8 @@ def test_three_imus_one_at_fault(graph: tuple[Any, ...]) -> None:
     ("words", "message"),
     [
         (["topics:=['a', 'a']"], "different names"),
+        (["topics:=[a, /a]"], "different topics"),
+        (["topics:=[]"], "1 to 16 different names"),
         (["lever_arm_m:=[1.0]"], "0 or 9 elements"),
         (["topcs:=['a']"], 'did you mean "topics"?'),
         (["fusion_parameters_file:=/no/such/folder/f.yaml"], "cannot be written"),

@@ -70,7 +70,9 @@ def declare(
     rclpy accepts unknown names silently and refuses a whole number for a floating point parameter; both are put right here.
     """
     leaves = _leaves(config_class)
-    given = {name: _plain(parameter.value) for name, parameter in node._parameter_overrides.items() if parameter.value is not None}
+    lists: dict[str, list[Any]] = {name: [] for name, leaf in leaves.items() if leaf.type in _ARRAYS.values()}  # an empty list comes without a value
+    given = {name: _plain(lists.get(name) if p.value is None else p.value) for name, p in node._parameter_overrides.items()}
+    given = {name: value for name, value in given.items() if value is not None}
     known = {*leaves, *also, *ROS_NAMES, *node._parameters}
     check_names([name for name in given if not name.startswith(QOS_PREFIX)], known)
     values = {**(overrides or {}), **{name: value for name, value in given.items() if name in leaves}}

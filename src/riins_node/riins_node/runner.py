@@ -25,6 +25,8 @@ from riins_node import entry
 from riins_node.parameters import ParameterError, check_qos_names, parameter_file
 
 OK, FAILED, BAD_USE = 0, 1, 2
+HELP = """usage: {name} [--print-parameters] [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]
+--print-parameters prints every parameter with description, unit and range, as a parameter file"""
 WAKE_S = 0.5
 """The executor looks for shutdown at least this often."""
 
@@ -101,7 +103,8 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
     Parameters
     ----------
     factory : makes the node, after rclpy.init
-    args : command line, None: that of the process; `--print-parameters` prints a parameter file with descriptions and ends
+    args : command line, None: that of the process; `--print-parameters` prints a parameter file with descriptions and ends,
+        `--help` what there is to say here
     name : name for messages before the node has one
 
     Returns
@@ -109,6 +112,9 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
     exit status: 0 after SIGINT, SIGTERM (also repeated) or shutdown; 1 for an error; 2 for bad parameters or arguments
     """
     words = list(sys.argv[1:] if args is None else args)
+    if "--help" in words or "-h" in words:
+        print(HELP.format(name=name))
+        return OK
     show = "--print-parameters" in words
     node: Node | None = None
     executor: SingleThreadedExecutor | None = None

@@ -65,13 +65,13 @@ def test_defaults_are_declared_with_description_unit_and_range(ros: Ros) -> None
 def test_command_line_and_file(ros: Ros, tmp_path: Path) -> None:
     file = tmp_path / "p.yaml"
     file.write_text("/n:\n  ros__parameters:\n    rate_hz: 50\n    gps:\n      sigma_m: [1, 2, 3]\n      enabled: false\n")
-    ros("--params-file", str(file), "-p", "geometry:=[1.0, 0.0, 0.0]", "-p", "maybe:=2.5")
+    ros("--params-file", str(file), "-p", "geometry:=[1.0, 0.0, 0.0]", "-p", "maybe:=2.5", "-p", "names:=[]")
     node = Node("n")
     config = declare(node, Config)
     assert config.rate_hz == 50.0 and isinstance(config.rate_hz, float)  # a whole number is taken for a float
     assert config.gps == Filter((1.0, 2.0, 3.0), False)
     assert config.geometry == (1.0, 0.0, 0.0)
-    assert config.maybe == 2.5
+    assert config.maybe == 2.5 and config.names == ()  # an empty list is not the default
     assert node.get_parameter("rate_hz").value == 50.0
     assert node.get_parameter("gps.enabled").value is False
     node.destroy_node()
@@ -97,6 +97,7 @@ def test_overrides_of_the_caller_are_below_the_user(ros: Ros) -> None:
         ("count:=2.5", "must be a whole number"),
         ("kind:=wsl", 'did you mean "wls"?'),
         ("gps.sigma_m:=[1.0, 2.0]", "must have 3 elements, not 2"),
+        ("gps.sigma_m:=[]", "must have 3 elements, not 0"),
         ("gps.sigma_m:=[1.0, 2.0, 30.0]", "must be in 0.0 .. 10.0"),
         ("gps.enabled:=1", "must be true or false"),
     ],

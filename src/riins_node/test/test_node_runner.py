@@ -155,6 +155,11 @@ def test_without_autostart_it_waits_for_a_manager(script: Path) -> None:
     assert process.returncode == 0
 
 
+def test_help_is_no_mistake(script: Path) -> None:
+    done = finished(script, "plain", "--help")
+    assert done.returncode == 0 and "usage: example" in done.stdout and "--print-parameters" in done.stdout and not done.stderr
+
+
 def test_parameters_can_be_printed(script: Path, tmp_path: Path) -> None:
     done = finished(script, "managed", "--print-parameters", "--ros-args", "-p", "rate_hz:=20.0")
     assert done.returncode == 0

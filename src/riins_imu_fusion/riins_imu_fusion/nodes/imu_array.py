@@ -28,7 +28,7 @@ from riins_imu_fusion.array_reporting import Changes, diagnosis, parameter_file,
 from riins_msgs.msg import RedundantImu
 from riins_node import convert, fields, qos
 from riins_node.inputs import several_publishers
-from riins_node.parameters import declare
+from riins_node.parameters import ParameterError, declare
 from riins_node.runner import AutostartLifecycleNode, StartError, run
 
 
@@ -50,6 +50,8 @@ class ImuArrayNode(AutostartLifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Publish what is latched, then subscribe."""
         config = self._config
+        if len({self.resolve_topic_name(topic) for topic in config.topics}) < config.n:  # imu and /imu: it would be taken for redundant
+            raise ParameterError('parameter "topics" must be different topics')
         self._aligner = ArrayAligner(config)
         self._mounting = MountingEstimator(config) if config.n > 1 and config.mounting.estimate else None
         self._changes = Changes(self._aligner, self._mounting)
