@@ -29,6 +29,7 @@ class SeparationSettings:
     pfa : of one test: 1e-5 is a threshold of 23.0 with two degrees of freedom, 3e-7 one of 30
     margin : by which what is still parted without the aid to blame must be below that without any other: 10 is a likelihood of 150 to 1
     confirm_after, confirm_pfa : an aid that has failed so many NIS tests in a row is tested with this pfa: what it put in before goes too
+    worst : an aid is not isolated when the sigma of `rows` would grow by more than this factor: without the last position there is only its gate
     left_out : masters for every set that leaves out up to so many aids: 0 the plain information form without this test, 1 leave-one-out masters.
         With 2, another aid may fail too and its leave-one-out master is still one that never saw the first
     readmit_after : consecutive epochs that an isolated aid must pass its NIS
@@ -41,6 +42,7 @@ class SeparationSettings:
     margin: float = 10.0
     confirm_after: int = 3
     confirm_pfa: float = 1e-2
+    worst: float = 10.0
     left_out: int = 2
     readmit_after: int = 30
     readmit_p: float = 0.1
@@ -177,10 +179,14 @@ class SeparatedMasters(Structure):
             left = {i: -np.inf if self._failing(i) else self._left(i, using, states) for i in using}
             blamed = min(using, key=lambda i: (left[i], -whole[i].statistic))
             doubt = self.settings.left_out > 1 and any(left[i] < left[blamed] + self.settings.margin for i in using if i != blamed)
-            if blamed not in alarms or doubt:
+            if blamed not in alarms or doubt or not self._bearable(blamed):
                 return  # a fault parts other aids' solutions too: wait until it is plain whose it is
             self._isolate(blamed)
             master = self._masters[self._all]
+
+    def _bearable(self, index: int) -> bool:
+        """The leave-one-out master still knows where it is: it may take the master's place."""
+        return bool(np.linalg.eigvalsh(self._part(self.without(index).P))[-1] <= self.settings.worst**2 * np.linalg.eigvalsh(self._part(self.P))[-1])
 
     def _failing(self, index: int) -> bool:
         return self._failed[index] >= self.settings.confirm_after
