@@ -111,7 +111,8 @@ def fly(
             flags[3, k - first] = structure.isolated
             if structure.settings.left_out and k % 6 == 0:
                 level[k - first] = structure.protection(INTEGRITY_RISK)
-    return Flight(first, error, P, *flags, level)
+    measured, passed, fused, isolated, held = flags
+    return Flight(first, error, P, measured, passed, fused, isolated, held, level)
 
 
 def masters(P: Array, gate: Gate = TESTED_GATE, settings: SeparationSettings = SEPARATED, adaptive: bool = False) -> SeparatedMasters:
