@@ -42,10 +42,11 @@ def losses(tmp_path_factory):
             processes = live.processes
             wait_until(lambda: len(listener.messages["/nav/state"]) > 350, 60.0, "navigation")
             seen["before"] = listener.last("/nav/state")
-            for name in ("gps", "bds", "doppler"):
+            processes.signal("gps", signal.SIGKILL)
+            seen["dead"] = wait_until(live.dead, 20.0, "the death to be seen")
+            for name in ("bds", "doppler"):
                 processes.signal(name, signal.SIGKILL)
             seen["killed"] = listener.last("/nav/state")
-            seen["dead"] = wait_until(live.dead, 5.0, "the death to be seen")
             coasting = wait_until(
                 lambda: [m for m in listener.messages["/nav/state"] if m.mode == NavState.MODE_COASTING and m.sequence > seen["killed"].sequence],
                 20.0,
@@ -63,6 +64,7 @@ def losses(tmp_path_factory):
                 again.start(live.graph.node("gps"))
                 wait_until(lambda: listener.last("/nav/state").mode == NavState.MODE_NAVIGATING, 30.0, "navigation with GPS again")
                 seen["back"] = listener.last("/nav/state")
+                wait_until(lambda: ns(listener.last("/gps/fix").header.stamp) > ns(seen["coasting"].header.stamp), 20.0, "a fix to be heard here")
             seen["start_ns"] = live.graph.start_at_ns
             seen["messages"] = {topic: list(messages) for topic, messages in listener.messages.items()}
         yield seen

@@ -135,8 +135,9 @@ class Player(AutostartLifecycleNode):
         try:
             if self._wait():
                 self._play()
-        except Exception as error:  # handed to the executor's thread, which ends the process
-            self.trouble = error
+        except Exception as error:
+            if self.context.ok():  # else a signal took the context away while this thread was publishing
+                self.trouble = error  # handed to the executor's thread, which ends the process
         self._done.set()
 
     def _wait(self) -> bool:
