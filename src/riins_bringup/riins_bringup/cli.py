@@ -278,6 +278,8 @@ def reproduce(
         f"{aimed - len(missed)} of {aimed} rows reach their target; page: {directory / 'index.html'}", markup=False, highlight=False, soft_wrap=True
     )
     write_json(json_file, study.as_json(rows))
+    if rows and all(row.n == 0 and row.remark for row in rows):
+        return BAD_USE  # every recording is somewhere else
     return BAD_RESULT if missed else OK
 
 

@@ -81,6 +81,8 @@ def _yaml(path: Path) -> Any:
 
 
 def _npz(path: Path) -> Any:
+    if path.is_file() and not zipfile.is_zipfile(path):
+        raise ValueError("this is no .npz file")  # NumPy would advise to unpickle it
     with np.load(path, allow_pickle=False) as file:
         named = [name for name in _NAMES if name in file.files]
         fitting = named or [name for name in file.files if file[name].ndim == 2 and file[name].shape[1] == 3]
@@ -91,10 +93,15 @@ def _npz(path: Path) -> Any:
 
 
 def _npy(path: Path) -> Any:
+    with path.open("rb") as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise ValueError("this is no .npy file")
     return _matrix(np.load(path, allow_pickle=False))
 
 
 def _matrix(array: Any) -> Any:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"the geometry must be n x 3, not {' x '.join(map(str, array.shape)) or 'one number'}")
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"the geometry must be real numbers, not {array.dtype}")
     return array

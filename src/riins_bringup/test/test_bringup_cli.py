@@ -53,6 +53,7 @@ def test_help_imports_nothing_heavy():
         (["up", "harbour", "--json", "/proc/no/file"], "cannot write /proc/no/file"),
         (["sail", "harbour", "--json", "."], "cannot write ."),
         (["reproduce", "thesiss"], '"thesis"'),
+        (["reproduce", "thesis", "--out", "/dev/null"], "/dev/null"),
         (["reproduce", "thesis", "--seeds", "0"], "--seeds"),
     ],
 )
@@ -60,6 +61,11 @@ def test_bad_use_is_one_line_and_status_2(words, message, capsys):
     assert main(words) == 2
     error = capsys.readouterr().err
     assert error.startswith("riins: error: ") and error.count("\n") == 1 and message in error
+
+
+def test_a_study_without_its_recordings_is_no_success(tmp_path, capsys):
+    assert main(["reproduce", "real", "--quick", "--data", str(tmp_path), "--out", str(tmp_path / "page")]) == 2
+    assert "skipped" in capsys.readouterr().out
 
 
 def test_options_that_are_no_text_are_bad_use(tmp_path, capsys):

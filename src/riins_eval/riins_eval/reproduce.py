@@ -166,6 +166,8 @@ def reproduce(
     ------
     StudyError
         Unknown name (the nearest is named), no seed.
+    OSError
+        The directory cannot be made.
     """
     if name not in STUDIES:
         raise StudyError(f"unknown study {name!r}{nearest(name, STUDIES)}; known: {', '.join(STUDIES)}")
@@ -174,6 +176,8 @@ def reproduce(
     if seeds < 1:
         raise StudyError(f"a study needs at least one seed, not {seeds}")
     where = Path(data or os.environ.get("RIINS_DATA") or RECORDINGS)
+    if out is not None:
+        Path(out).mkdir(parents=True, exist_ok=True)  # what cannot be written is known before minutes of computing, not after
     processes = min(2, len(os.sched_getaffinity(0))) if processes is None else processes
     run = _run_here if min(processes, len(reproduction.chapters)) < 2 else _run_apart
     parts = run(reproduction.chapters, _Asked(seeds, quick, where), progress or (lambda done, total: None), processes)
@@ -181,7 +185,6 @@ def reproduce(
         from .reproduce_page import page
 
         directory = Path(out)
-        directory.mkdir(parents=True, exist_ok=True)
         for figure in (f for part in parts for f in part.figures):
             (directory / f"{figure.name}.png").write_bytes(figure.png)
         rows = [r for part in parts for r in part.rows]

@@ -99,11 +99,14 @@ def test_a_study_that_breaks_ends_the_run(study):
         reproduce("made_up", processes=2)
 
 
-def test_unknown_names_and_no_seeds_are_refused():
+def test_unknown_names_no_seeds_and_no_directory_are_refused(tmp_path):
     with pytest.raises(StudyError, match='did you mean "thesis"'):
         reproduce("thsis")
     with pytest.raises(StudyError, match="at least one seed"):
         reproduce("thesis", seeds=0)
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError):
+        reproduce("thesis", out=tmp_path / "file", progress=lambda *_: pytest.fail("computed before it looked"))
 
 
 def test_json_has_null_for_what_is_not_finite():
