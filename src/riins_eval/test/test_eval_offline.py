@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from riins_bag.bag import BagError, BagReader, BagWriter, message, serialize
 from riins_core.settings import SettingError
-from riins_eval import bag_record, metrics, offline, renavigate
+from riins_eval import bag_record, configure, metrics, offline, renavigate
 from riins_eval.lane import size_text
 from riins_eval.renavigate import RAW_TOPICS
 from riins_eval.run_configuration import RecordError
@@ -19,7 +20,7 @@ from riins_federated.types import Reason, UseCommand
 from riins_imu_fusion.selection import Selection
 from riins_node import fields
 from riins_sim.faults import FaultSchedule
-from riins_sim.scenario import from_yaml
+from riins_sim.scenario import from_yaml, load
 
 VOYAGE = """
 name: short
@@ -407,3 +408,14 @@ def test_faults_of_the_oracle_are_hidden_in_their_interval_only(scenario):
     bit = (hidden.gyro_valid >> np.uint64(4)) & np.uint64(1)
     assert bit.tolist() == [1] * 10 + [0] * 10
     assert (hidden.accel_valid == raw.accel_valid).all()
+
+
+def test_output_correction_holds_for_hours():
+    """Target 32 at 10 Hz: fed back every hour, or never but height and vertical velocity, which would run away."""
+    calm = replace(load("voyage_12h"), imu_rate_hz=10.0, duration_s=10800.0, faults=(), outages=())
+    rms = {}
+    for period in (3600.0, 1e6):
+        navigator = configure.merged(calm.navigator, {"feedback_period_s": period})
+        found = offline.sail(replace(calm, navigator=navigator), twins=False).score
+        rms[period] = np.array([found[name] for name in ("position_rms_m", "velocity_rms_mps", "heading_rms_arcmin")])
+    assert np.all(np.abs(rms[1e6] / rms[3600.0] - 1.0) < [0.02, 0.02, 0.05])

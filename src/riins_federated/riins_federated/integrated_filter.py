@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from riins_core.ins_error import PHI, VEL
+from riins_core.ins_error import PHI, VEL, State
 from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
 from riins_core.strapdown import strapdown_block
 from riins_fdi.health import Change
@@ -24,6 +24,8 @@ from .master import FusionReset, InformationMaster, Master
 from .sample_noise import SampleNoise
 from .solution import body_rate, solution
 from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall
+
+VERTICAL = [int(State.POS_D), int(State.VEL_D)]
 
 
 @dataclass
@@ -176,6 +178,14 @@ class IntegratedFilter:
             return
         self._shift(x)
         self._master.shift(x)
+
+    def damp_vertical(self) -> None:
+        """Correct height and vertical velocity of the nominal state alone: without aids they run away, e-fold in ten minutes, and it with them."""
+        x = np.zeros(N_ERROR)
+        x[VERTICAL] = self._master.x[VERTICAL]
+        if x.any():
+            self._shift(x)
+            self._master.shift(x)
 
     def recall(self, recall: Recall) -> None:
         """Take out of the nominal state what declared sensors have put in; the aids' corrections since, and the position, stay."""

@@ -357,6 +357,8 @@ class Navigator:
         if (corrected and not period.feedback) or stamp_ns >= due.feedback:
             flt.feed_back()
             due = replace(due, feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
+        elif corrected:
+            flt.damp_vertical()
         for local in flt.subfilters:
             self._log.health(local.name, local.watch(stamp_ns, flt.started_ns))
         if stamp_ns >= due.settle:
