@@ -95,6 +95,15 @@ def test_files_are_short(module: Path, name: str) -> None:
     assert len(module.read_text(encoding="utf-8").splitlines()) <= (LONGEST_NODE if node else LONGEST)
 
 
+@pytest.mark.parametrize("module", [m for m, name in zip(MODULES, NAMES, strict=True) if name.endswith("/node.py") or "/nodes/" in name], ids=str)
+def test_nodes_leave_the_attributes_of_rclpy_alone(module: Path) -> None:
+    """A node that had a list of its own under the name `_services` answered no `ros2 param` any more."""
+    ros_node = pytest.importorskip("rclpy.node", reason="needs ROS 2")
+    theirs = re.findall(r"self\.(_[a-z]\w*)\s*[:=]", Path(ros_node.__file__).read_text(encoding="utf-8"))
+    ours = re.findall(r"self\.(_[a-z]\w*)\s*[:=]", module.read_text(encoding="utf-8"))
+    assert theirs and not set(theirs) & set(ours)
+
+
 @pytest.mark.parametrize("package", sorted(FLOORS))
 def test_manifest_is_honest(package: str) -> None:
     """What a package imports it declares, and it declares no RIINS package that it does not import."""

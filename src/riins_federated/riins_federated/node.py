@@ -93,7 +93,7 @@ class NavigatorNode(AutostartLifecycleNode):
             take(NavSatFix, "bds/fix", partial(self._on_aid, "bds", convert.read_position_aid), qos.aid()),
             take(TwistWithCovarianceStamped, "doppler/velocity", partial(self._on_aid, "doppler", convert.read_doppler), qos.aid()),
         ]
-        self._services = [
+        self._offered = [
             self.create_service(srv.SetInitialState, "~/set_initial_state", self._set_initial_state),
             self.create_service(srv.SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
         ]
@@ -104,7 +104,7 @@ class NavigatorNode(AutostartLifecycleNode):
         """Undo on_configure."""
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
-        for service in self._services:
+        for service in self._offered:
             self.destroy_service(service)
         for publisher in self._published.values():
             self.destroy_publisher(publisher)

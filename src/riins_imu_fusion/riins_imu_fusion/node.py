@@ -76,7 +76,7 @@ class ImuFusionNode(AutostartLifecycleNode):
         self._calibrations = self.create_subscription(
             InertialCalibration, "nav/calibration", self._on_calibration, qos.latched(), qos_overriding_options=qos.overridable()
         )
-        self._services = [
+        self._offered = [
             self.create_service(SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
             self.create_service(SetFusionMethod, "~/set_fusion_method", self._set_fusion_method),
         ]
@@ -92,7 +92,7 @@ class ImuFusionNode(AutostartLifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo on_configure."""
         self.destroy_timer(self._timer)
-        for service in self._services:
+        for service in self._offered:
             self.destroy_service(service)
         self.destroy_subscription(self._input)
         self.destroy_subscription(self._commands)

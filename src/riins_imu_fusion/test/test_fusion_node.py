@@ -15,6 +15,7 @@ pytest.importorskip("riins_msgs.msg", reason="needs riins_msgs built by colcon a
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
@@ -266,7 +267,11 @@ def test_a_method_is_chosen_while_running_and_published_with_the_stamp_that_hold
 
 @pytest.mark.parametrize(("name", "value"), [("method", "opt"), ("parity_test", "svd"), ("sequential_test", "cusum"), ("adapt_noise", True)])
 def test_a_parameter_set_while_running_is_refused_with_the_service_that_changes_it(bench: Bench, name: str, value: Any) -> None:
-    result = bench.node.set_parameters([Parameter(name, value=value)])[0]
+    client = bench.other.create_client(SetParameters, "imu_fusion/set_parameters")  # what `ros2 param set` calls
+    bench.until(client.service_is_ready)
+    answer = client.call_async(SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()]))
+    bench.until(answer.done)
+    result = answer.result().results[0]
     assert not result.successful and result.reason == f'"{name}" is what the node starts with; call /imu_fusion/set_fusion_method to change it'
     assert bench.node.get_parameter(name).value != value
 
