@@ -34,6 +34,7 @@ READY_TIMEOUT_S = 180.0  # cold kernels compile in the nodes' on_configure
 MATCHING_S = 1.0  # that we see two endpoints does not mean that they have seen each other; a player's first message must not be lost
 _QUIET_S = 1.5  # no navigation state for this long at the end: all is settled
 _STALLED_S = 60.0
+_SILENT_S = 5.0  # a run whose navigation ends this much before it is not complete
 _PLAIN_PERIOD_S = 5.0
 
 
@@ -304,9 +305,20 @@ def _run(run: LiveRun, console: Console, stop: threading.Event) -> Outcome:
             if dead := run.dead():
                 return Outcome(1, str(dead), dead)
             if run.finished():
-                return Outcome(0, "completed") if run.monitor.newest_ns else Outcome(1, "the navigator published nothing")
+                return _completed(run)
             if run.stalled():
                 return Outcome(1, "no navigation state for a minute")
+
+
+def _completed(run: LiveRun) -> Outcome:
+    """A simulated run is complete if it navigated to its end."""
+    newest_ns = run.monitor.newest_ns
+    if not newest_ns:
+        return Outcome(1, "the navigator published nothing")
+    missing_s = run.graph.duration_s - (newest_ns - run.monitor.start_at_ns) * 1e-9
+    if run.graph.wall_stamps and missing_s > _SILENT_S * run.graph.rate:
+        return Outcome(1, f"navigation ended {missing_s:.0f} s before the run did")
+    return Outcome(0, "completed")
 
 
 class _display:

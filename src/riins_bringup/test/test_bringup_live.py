@@ -15,6 +15,7 @@ import sys
 import textwrap
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -23,7 +24,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("riins_msgs")
 
 from riins_bringup.graph import Graph, NodeSpec
-from riins_bringup.live import run_live
+from riins_bringup.live import _completed, run_live
 
 FILTER = """
 from riins_msgs.msg import NavState, RedundantImu
@@ -155,3 +156,12 @@ def test_a_domain_in_use_is_refused(toys):
         context.try_shutdown()
     assert summary["status"] == 1
     assert "/rimu/raw is already published in ROS domain" in summary["ended"] and "set ROS_DOMAIN_ID" in summary["ended"]
+
+
+@pytest.mark.parametrize(("newest_s", "wall", "status"), [(60.0, True, 0), (56.0, True, 0), (0.1, True, 1), (0.1, False, 0), (-100.0, True, 1)])
+def test_a_run_whose_navigation_ended_early_is_not_complete(newest_s, wall, status):
+    """A navigator that waits for a new initial state after a restart publishes nothing; the graph runs on without it."""
+    newest_ns = max(0, round((100.0 + newest_s) * 1e9))
+    monitor = SimpleNamespace(newest_ns=newest_ns, start_at_ns=100_000_000_000)
+    outcome = _completed(SimpleNamespace(monitor=monitor, graph=SimpleNamespace(duration_s=60.0, rate=1.0, wall_stamps=wall)))
+    assert outcome.status == status and (outcome.ended == "completed") == (status == 0)
