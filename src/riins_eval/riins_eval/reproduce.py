@@ -124,6 +124,18 @@ STUDIES: dict[str, Reproduction] = {
         seeds=20,
         quick_seeds=4,
     ),
+    "faults": Reproduction(
+        "Faults of the aids, drawn at random, and spoofing",
+        "The whole navigator of a ship under way: steps, ramps, noise and stuck values of 3 to 1000 sigma on GPS, BDS and log; positions pulled away.",
+        (
+            Chapter("riins_eval.studies.fault_draws", "Faults drawn at random"),
+            Chapter("riins_eval.studies.spoofing", "Spoofing: positions pulled away", 0.4),
+        ),
+        beside="wanted",
+        seeds=1000,
+        quick_seeds=24,
+        unit="draws",
+    ),
     "aircraft": Reproduction(
         "The aircraft with GPS, Doppler and star sensor",
         "Trajectory, table 1 and table 2 of seed 002 in a linear simulation of 36 error states, with and without the star sensor, with white and "
