@@ -126,7 +126,7 @@ STUDIES: dict[str, Reproduction] = {
     ),
     "faults": Reproduction(
         "Faults of the aids, drawn at random, and spoofing",
-        "The whole navigator of a ship under way: steps, ramps, noise and stuck values of 3 to 1000 sigma on GPS, BDS and log; positions pulled away.",
+        "The whole navigator of a ship under way: steps, ramps, noise and stuck values of 3 to 1000 sigma on GPS, BDS and log; positions pulled.",
         (
             Chapter("riins_eval.studies.fault_draws", "Faults drawn at random"),
             Chapter("riins_eval.studies.spoofing", "Spoofing: positions pulled away", 0.4),

@@ -29,7 +29,7 @@ QUICK_VOYAGES = 3
 
 
 class Pull(NamedTuple):
-    """One pull: isolated after so many seconds (NaN: never), distance from the twin then (or at the end), the largest, the last, m; (e,) of it all."""
+    """One pull: isolated after so many seconds (NaN: never); distance from the twin then (or at the end), largest, last, m; (e,) of it all."""
 
     delay_s: float
     then: float
