@@ -128,7 +128,7 @@ class _Voyage:
         warm_up(self.pipeline)
         began = time.perf_counter()
         drawn = initial_state(self.scenario, self.trajectory)
-        names = [f.name for f in dataclasses.fields(InitialState) if f.name not in ("stamp_ns", "source")]
+        names = [f.name for f in dataclasses.fields(InitialState) if f.name not in ("stamp_ns", "source") and hasattr(drawn, f.name)]
         state = InitialState(stamp_ns=self.start + drawn.stamp_ns, source="scenario", **{n: getattr(drawn, n) for n in names})
         self.lane.navigator.set_initial_state(_as_received(state))
         if writer is not None:

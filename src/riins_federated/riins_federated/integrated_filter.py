@@ -113,7 +113,7 @@ class IntegratedFilter:
             nav.copy(),
             np.zeros(3),
             np.zeros(3),
-            np.zeros(11),
+            np.concatenate([initial.gyro_bias, initial.accel_bias, np.zeros(5)]),
             np.zeros(13),
             np.zeros((2, 3)),
             np.zeros((2, 3)),

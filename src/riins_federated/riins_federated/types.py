@@ -63,6 +63,7 @@ class InitialState:
     sigma_gyro_bias, sigma_accel_bias : (3,), rad/s, m/s^2, FRD; zeros: the navigator's own
     covariance : None, or (15, 15) in the order of riins_core.ins_error.State; overrides the sigmas
     source : who says so
+    gyro_bias, accel_bias : (3,), what is known of the biases, measured - true, rad/s, m/s^2, FRD
     """
 
     stamp_ns: int
@@ -78,10 +79,12 @@ class InitialState:
     sigma_accel_bias: Array = field(default_factory=lambda: np.zeros(3))
     covariance: Array | None = None
     source: str = ""
+    gyro_bias: Array = field(default_factory=lambda: np.zeros(3))
+    accel_bias: Array = field(default_factory=lambda: np.zeros(3))
 
     def problem(self) -> str:
         """What is wrong with it, one sentence, or '' when it can be used."""
-        numbers = np.concatenate([[self.lat, self.lon, self.h], self.v_n, self.rph])
+        numbers = np.concatenate([[self.lat, self.lon, self.h], self.v_n, self.rph, self.gyro_bias, self.accel_bias])
         sigmas = np.concatenate([self.sigma_position, self.sigma_velocity, self.sigma_attitude, self.sigma_gyro_bias, self.sigma_accel_bias])
         if not (np.isfinite(numbers).all() and np.isfinite(sigmas).all()):
             return "the initial state holds a value that is not finite"

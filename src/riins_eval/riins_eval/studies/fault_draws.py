@@ -103,7 +103,7 @@ class Voyage:
         self.sensors: dict[str, Any] = {name: PositionSim(scenario, name, self.trajectory) for name in AIDS[:2]}
         self.sensors["doppler"] = DopplerSim(scenario, self.trajectory)
         drawn = initial_state(scenario, self.trajectory)
-        names = [f.name for f in dataclasses.fields(InitialState) if f.name not in ("stamp_ns", "source")]
+        names = [f.name for f in dataclasses.fields(InitialState) if f.name not in ("stamp_ns", "source") and hasattr(drawn, f.name)]
         lane = Lane(Navigator(configure.navigator_config(scenario)))
         lane.navigator.set_initial_state(InitialState(stamp_ns=drawn.stamp_ns, source="study", **{n: getattr(drawn, n) for n in names}))
         self._parts = list(self._fused(scenario))
