@@ -1,4 +1,4 @@
-"""Sea data: distance to the reference of every piece, with all aids, with the log alone, and with a GPS spoof and a gyro drift added.
+"""Sea data: distance to the reference of every piece, with all aids, the log alone, a GPS spoof and a gyro drift, and GNSS denied after 100 s.
 
 Run: python bench/sea_data.py ../shared/data/snapir_open.npz [--out DIR]   (./riins exec python bench/sea_data.py ...)
 """
@@ -10,12 +10,17 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from riins_eval import metrics
 from riins_eval.importers import import_npz
 from riins_eval.offline import navigate
+from riins_eval.run_record import RunRecord
 
+DENIED_S = 100.0
+"""GPS and BDS are there for so long in every piece of the fourth run."""
 LOG_ALONE: dict[str, Any] = {"navigator": {"gps": {"enabled": False}, "bds": {"enabled": False}}}
 
 
@@ -28,8 +33,30 @@ def faults(starts: list[float]) -> list[dict[str, Any]]:
     return made
 
 
+def denials(starts: list[float]) -> list[dict[str, Any]]:
+    """In every piece: neither GPS nor BDS from DENIED_S on, for as long as a piece lasts."""
+    return [
+        {"target": name, "type": "dropout", "start_s": start + DENIED_S, "end_s": start + 400.0 - 1e-3} for start in starts for name in ("gps", "bds")
+    ]
+
+
+def denied_cells(record: RunRecord) -> list[tuple[str, ...]]:
+    """Of each piece, and of all: position RMS, largest and last [m], heading RMS [arcmin] after DENIED_S, and NEES(7)/7."""
+    found = []
+    for _, start_ns, stop_ns in record.pieces:
+        piece = record.between(start_ns + round(DENIED_S * 1e9), stop_ns)
+        apart = metrics.horizontal_distance(piece.settled, piece.truth)
+        turned = np.degrees(metrics.heading_error(piece.settled, piece.truth)) * 60.0
+        nees = metrics.nees7(piece.settled, piece.truth, piece.covariance) / 7.0
+        found.append((metrics.rms(apart), float(np.nanmax(apart)), float(apart[np.isfinite(apart)][-1]), metrics.rms(turned), float(np.nanmean(nees))))
+    table = np.array(found)
+    square = np.sqrt(np.mean(table**2, axis=0))
+    found.append((square[0], table[:, 1].max(), square[2], square[3], table[:, 4].mean()))
+    return [tuple(f"{value:.{digits}f}" for value, digits in zip(one, (2, 2, 2, 1, 2), strict=True)) for one in found]
+
+
 def main() -> None:
-    """Import, navigate three times, print."""
+    """Import, navigate four times, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recording", type=Path)
     parser.add_argument("--out", type=Path, default=None, help="keep the bags here")
@@ -43,6 +70,8 @@ def main() -> None:
         starts = piece_starts(out / "clean")
         import_npz(given.recording, out / "faulty", faults=faults(starts))
         faulty = navigate(out / "faulty", None).score
+        import_npz(given.recording, out / "denied", faults=denials(starts))
+        denied = navigate(out / "denied", None)
     table = Table(
         "piece",
         *(f"{run}: {what}" for run in ("all aids", "log alone", "with faults") for what in ("m", "m/s", "heading, arcmin")),
@@ -61,6 +90,10 @@ def main() -> None:
         f"{clean['false_isolations']}, {alone['false_isolations']}, {faulty['false_isolations']}"
     )
     console.print(f"gyro drift found after {min(delays):.1f} .. {max(delays):.1f} s")
+    table = Table("piece", "m", "largest, m", "last, m", "heading, arcmin", "NEES(7)/7", title=f"GPS and BDS for {DENIED_S:.0f} s, then the log alone")
+    for name, row in zip([piece["name"] for piece in clean["pieces"]] + ["all"], denied_cells(denied.record), strict=True):
+        table.add_row(name, *row)
+    console.print(table)
 
 
 def cells(score: dict[str, Any]) -> tuple[str, str, str]:
