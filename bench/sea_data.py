@@ -48,7 +48,8 @@ def denied_cells(record: RunRecord) -> list[tuple[str, ...]]:
         apart = metrics.horizontal_distance(piece.settled, piece.truth)
         turned = np.degrees(metrics.heading_error(piece.settled, piece.truth)) * 60.0
         nees = metrics.nees7(piece.settled, piece.truth, piece.covariance) / 7.0
-        found.append((metrics.rms(apart), float(np.nanmax(apart)), float(apart[np.isfinite(apart)][-1]), metrics.rms(turned), float(np.nanmean(nees))))
+        last = float(apart[np.isfinite(apart)][-1])
+        found.append((metrics.rms(apart), float(np.nanmax(apart)), last, metrics.rms(turned), float(np.nanmean(nees))))
     table = np.array(found)
     square = np.sqrt(np.mean(table**2, axis=0))
     found.append((square[0], table[:, 1].max(), square[2], square[3], table[:, 4].mean()))
@@ -90,7 +91,7 @@ def main() -> None:
         f"{clean['false_isolations']}, {alone['false_isolations']}, {faulty['false_isolations']}"
     )
     console.print(f"gyro drift found after {min(delays):.1f} .. {max(delays):.1f} s")
-    table = Table("piece", "m", "largest, m", "last, m", "heading, arcmin", "NEES(7)/7", title=f"GPS and BDS for {DENIED_S:.0f} s, then the log alone")
+    table = Table("piece", "m", "largest, m", "last, m", "heading, arcmin", "NEES(7)/7", title=f"GNSS for {DENIED_S:.0f} s, then the log")
     for name, row in zip([piece["name"] for piece in clean["pieces"]] + ["all"], denied_cells(denied.record), strict=True):
         table.add_row(name, *row)
     console.print(table)
