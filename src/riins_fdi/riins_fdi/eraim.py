@@ -13,6 +13,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
+from riins_core.jit import jit
 from riins_fdi.innovation import nis_threshold
 
 Array = NDArray[np.float64]
@@ -76,20 +77,94 @@ def solution_separation(x_all: ArrayLike, P_all: ArrayLike, x_loo: ArrayLike, P_
     the verdict. The covariance of the difference is P_loo - P_all, since the solution with all aids is optimal and uses all the other one uses
     (Brenner 1996). Just after one has been put in the place of the other it is nearly singular: those directions are left out.
     """
-    d = np.asarray(x_all, dtype=np.float64) - np.asarray(x_loo, dtype=np.float64)
-    P = np.asarray(P_all, dtype=np.float64)
-    scale = 1.0 / np.sqrt(np.diag(P))  # metres and radians may stand side by side
-    D = (np.asarray(P_loo, dtype=np.float64) - P) * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(0.5 * (D + D.T))
-    tested = values > _SINGULAR
-    dof = int(np.count_nonzero(tested))
-    kept = vectors[:, tested]
-    covariance = (kept * values[tested]) @ kept.T / np.outer(scale, scale)
+    x, P, x_without, P_without = (np.array(v, dtype=np.float64, ndmin=1) for v in (x_all, P_all, x_loo, P_loo))
+    covariance = np.empty_like(P)
+    statistic, dof = separation_into(x, P, x_without, P_without, np.arange(x.size), covariance)
     if dof == 0:
         return Separation(0.0, 0.0, 0, False, covariance)
-    statistic = float(np.sum((kept.T @ (d * scale)) ** 2 / values[tested]))
     threshold = nis_threshold(pfa, dof)
     return Separation(statistic, threshold, dof, not statistic <= threshold, covariance)
+
+
+@jit
+def separation_into(x_all: Array, P_all: Array, x_loo: Array, P_loo: Array, states: NDArray[np.int64], D: Array) -> tuple[float, int]:
+    """Kernel of `solution_separation` over some of the states of two filters.
+
+    Parameters
+    ----------
+    x_all, P_all, x_loo, P_loo : (n,), (n, n)
+    states : (m,), those compared
+    D : (m, m), written: covariance of the difference, directions without a test set to zero
+
+    Returns
+    -------
+    statistic and degrees of freedom
+    """
+    m = states.shape[0]
+    A, V, scale, e = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(m)
+    for i in range(m):  # metres and radians may stand side by side
+        v = P_all[states[i], states[i]]
+        scale[i] = 1.0 / np.sqrt(v) if v > 0.0 else 0.0
+        e[i] = (x_all[states[i]] - x_loo[states[i]]) * scale[i]
+    for i in range(m):
+        for j in range(m):
+            D[i, j] = 0.0
+            A[i, j] = 0.5 * scale[i] * scale[j] * (
+                P_loo[states[i], states[j]] - P_all[states[i], states[j]] + P_loo[states[j], states[i]] - P_all[states[j], states[i]]
+            )  # fmt: skip
+    eigen_into(A, V)
+    statistic, dof = 0.0, 0
+    for k in range(m):
+        w = A[k, k]
+        if w > _SINGULAR:
+            dof += 1
+            s = 0.0
+            for i in range(m):
+                s += V[i, k] * e[i]
+            statistic += s * s / w
+            for i in range(m):
+                if scale[i] > 0.0:
+                    for j in range(m):
+                        if scale[j] > 0.0:
+                            D[i, j] += V[i, k] * V[j, k] * w / (scale[i] * scale[j])
+    return statistic, dof
+
+
+@jit
+def eigen_into(A: Array, V: Array) -> None:
+    """Kernel: eigenvalues on the diagonal of a small symmetric A (m, m), which is changed, and eigenvectors as columns of V, by Jacobi's rotations."""
+    m = A.shape[0]
+    for i in range(m):
+        for j in range(m):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(50):
+        off, on = 0.0, 0.0
+        for i in range(m):
+            on += A[i, i] * A[i, i]
+            for j in range(i):
+                off += A[i, j] * A[i, j]
+        if not off > 1e-30 * on:
+            break
+        for p in range(m - 1):
+            for q in range(p + 1, m):
+                if A[p, q] == 0.0:
+                    continue
+                ratio = 0.5 * (A[q, q] - A[p, p]) / A[p, q]
+                t = 1.0 / (abs(ratio) + np.sqrt(1.0 + ratio * ratio))
+                if ratio < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                s = t * c
+                for k in range(m):
+                    x, y = A[k, p], A[k, q]
+                    A[k, p], A[k, q] = c * x - s * y, s * x + c * y
+                for k in range(m):
+                    x, y = A[p, k], A[q, k]
+                    A[p, k], A[q, k] = c * x - s * y, s * x + c * y
+                    x, y = V[k, p], V[k, q]
+                    V[k, p], V[k, q] = c * x - s * y, s * x + c * y
+                A[p, q] = 0.0
+                A[q, p] = 0.0
 
 
 def protection_level(separation: Separation, P_loo: ArrayLike, integrity_risk: float) -> float:
