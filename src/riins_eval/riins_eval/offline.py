@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_federated.error_filter import LABELS
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState
 from riins_imu_fusion.config import FusionConfig
@@ -233,7 +232,7 @@ class _Voyage:
         if writer is None or not writer.nav:
             return
         lane = self.lane
-        writer.settled(lane.solutions, LABELS)
+        writer.settled(lane.solutions, lane.navigator.labels)
         writer.calibrations(lane.calibrations)
         writer.judged(lane.judged)
         report = lane.navigator.status()

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_bag.bag import BagReader
-from riins_federated.error_filter import LABELS
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState, UseCommand
 from riins_imu_fusion.config import KINDS
@@ -254,7 +253,7 @@ class _Run:
 
     def _write(self, writer: RunWriter) -> None:
         lane = self.lane
-        writer.settled(lane.solutions, LABELS)
+        writer.settled(lane.solutions, lane.navigator.labels)
         writer.calibrations(lane.calibrations)
         writer.judged(lane.judged)
         report = lane.navigator.status()

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from riins_core.earth import radii_s
-from riins_core.ins_error import PHI, POS, VEL
+from riins_core.ins_error import PHI, POS, VEL, State
 from riins_core.rotation import skew
 
 from .config import HeightAid, PositionAid, VelocityAid
-from .error_filter import N_ERROR, NavError
+from .state_blocks import N_FED_BACK, Block, StateModel
 from .types import Aid, Array
 
 
@@ -29,7 +29,6 @@ class Pose:
     v_n : (3,), m/s, NED
     C_nb : (3, 3)
     rate_b : (3,), body rate relative to NED, rad/s, FRD
-    log : (2,), estimated log yaw [rad] and scale factor
     """
 
     lat: float
@@ -38,12 +37,11 @@ class Pose:
     v_n: Array
     C_nb: Array
     rate_b: Array
-    log: Array
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """z = measured - predicted (m,), H (m, 20) with z = H x + noise, and R (m, m)."""
+    """z = measured - predicted (m,), H (m, n) with z = H x + noise, and R (m, m)."""
 
     z: Array
     H: Array
@@ -76,13 +74,21 @@ class PositionModel:
         self.rows = 3 if config.use_height else 2
         self.coordinates = slice(0, self.rows)
 
-    def measurement(self, aid: Aid, pose: Pose) -> Measurement:
+    def blocks(self) -> list[Block]:
+        """States of its own: none."""
+        return []
+
+    def place(self, states: StateModel) -> None:
+        """Be told the assembled state."""
+        self.n = states.n
+
+    def measurement(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
         """Innovation, H and R of a position; see Groves (14.102) for the lever arm, with errors computed minus true."""
         lever_n = pose.C_nb @ self.lever
         r_m, r_n = radii_s(pose.lat)
         d_lon = (aid.z[1] - pose.lon + np.pi) % (2.0 * np.pi) - np.pi  # across the date line
         difference = np.array([(aid.z[0] - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * np.cos(pose.lat), pose.h - aid.z[2]])
-        H = np.zeros((3, N_ERROR))
+        H = np.zeros((3, self.n))
         H[:, POS] = -np.eye(3)
         H[:, PHI] = -skew(lever_n)
         R = noise(aid.R, self.sigma, self.floor) + self.extra * np.eye(3)
@@ -93,27 +99,44 @@ class PositionModel:
 class VelocityModel:
     """Velocity over ground in log axes at the transducer: (1 + s) (I - yaw [z x]) C_nb' v_n, plus the lever arm's w x l."""
 
-    def __init__(self, config: VelocityAid) -> None:
+    def __init__(self, config: VelocityAid, name: str = "doppler") -> None:
+        self.name = name
+        self.sigma_yaw, self.sigma_scale = np.radians(config.misalignment_deg), config.scale_ppm * 1e-6
         self.lever = np.array(config.lever_arm_m)
         self.sigma = np.array(config.sigma_mps)
         self.floor = config.sigma_floor_mps
         self.rows = 3 if config.use_down else 2
         self.coordinates = slice(0, self.rows)
 
-    def measurement(self, aid: Aid, pose: Pose) -> Measurement:
+    def blocks(self) -> list[Block]:
+        """States of its own: mounting yaw and scale factor, where they are not known."""
+        return [
+            Block(f"{self.name}.yaw", (f"{self.name}_yaw [rad]",), float(self.sigma_yaw)),
+            Block(f"{self.name}.scale", (f"{self.name}_scale [1]",), self.sigma_scale),
+        ]
+
+    def place(self, states: StateModel) -> None:
+        """Be told the assembled state."""
+        self.n = states.n
+        self.yaw, self.scale = (None if at is None else at.start for at in (states.place(f"{self.name}.{state}") for state in ("yaw", "scale")))
+
+    def measurement(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
         """Innovation, H and R of a velocity in log axes, forward, starboard, down."""
-        yaw, scale = pose.log
+        yaw = 0.0 if self.yaw is None else parameters[self.yaw - N_FED_BACK]
+        scale = 0.0 if self.scale is None else parameters[self.scale - N_FED_BACK]
         c, s = np.cos(yaw), np.sin(yaw)
         M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         v_b = pose.C_nb.T @ pose.v_n + np.cross(pose.rate_b, self.lever)
         v_log = M @ v_b
         predicted = (1.0 + scale) * v_log
         turn = (1.0 + scale) * M @ pose.C_nb.T
-        H = np.zeros((3, N_ERROR))
+        H = np.zeros((3, self.n))
         H[:, VEL] = -turn
         H[:, PHI] = turn @ skew(pose.v_n)
-        H[:, NavError.LOG_YAW] = -(1.0 + scale) * np.array([v_log[1], -v_log[0], 0.0])
-        H[:, NavError.LOG_SCALE] = -v_log
+        if self.yaw is not None:
+            H[:, self.yaw] = -(1.0 + scale) * np.array([v_log[1], -v_log[0], 0.0])
+        if self.scale is not None:
+            H[:, self.scale] = -v_log
         n = self.rows
         return Measurement((aid.z - predicted)[:n], H[:n], noise(aid.R, self.sigma, self.floor)[:n, :n])
 
@@ -125,10 +148,14 @@ class HeightModel:
         self.mean = config.mean_m
         self.variance = white_inflation(config.sigma_m, config.correlation_time_s, config.period_s)
 
+    def place(self, states: StateModel) -> None:
+        """Be told the assembled state."""
+        self.n = states.n
+
     def measurement(self, pose: Pose) -> Measurement:
         """Innovation, H and R of the known mean height, on the down axis."""
-        H = np.zeros((1, N_ERROR))
-        H[0, NavError.POS_D] = -1.0
+        H = np.zeros((1, self.n))
+        H[0, State.POS_D] = -1.0
         return Measurement(np.array([pose.h - self.mean]), H, np.array([[self.variance]]))
 
 

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from riins_core.ins_error import BA, BG
-
 from .config import NavigatorConfig
-from .error_filter import GM
+from .state_blocks import StateModel
 from .timeline import to_ns
 from .types import Array, Mode, NavSolution
 
@@ -26,7 +22,7 @@ class Calibration:
     ----------
     effective_ns : measurement time from which it holds; later than anything fused when it is made, so that it is the same for every order of arrival
     estimated_ns : measurement time of the estimate
-    gyro_bias, accel_bias : (3,), rad/s, m/s^2, FRD; the former with the Gauss-Markov drift
+    gyro_bias, accel_bias : (3,), rad/s, m/s^2, FRD; each with its Gauss-Markov part
     gyro_covariance, accel_covariance : (3, 3)
     """
 
@@ -53,6 +49,7 @@ class Calibrator:
 
     def __init__(self, config: NavigatorConfig) -> None:
         self._period, self._lead = to_ns(config.calibration_period_s), to_ns(config.calibration_lead_s)
+        self._states = StateModel(config.inertial, config.states)  # its first states are those of the navigator, whatever the aids add
         self._last: int | None = None
 
     def take(self, solutions: list[NavSolution]) -> list[Calibration]:
@@ -66,9 +63,8 @@ class Calibrator:
         for state in solutions if self._period else ():
             interval = state.stamp_ns // self._period
             if self._last is not None and interval != self._last and state.mode in (Mode.NAVIGATING, Mode.COASTING):
-                P = state.P
-                gyro = np.asarray(P[BG, BG] + P[GM, GM] + P[BG, GM] + P[GM, BG])
+                gyro, accel = self._states.bias_covariances(state.P)
                 effective_ns = interval * self._period + self._lead
-                made.append(Calibration(effective_ns, state.stamp_ns, state.bias_g.copy(), gyro, state.bias_a.copy(), P[BA, BA].copy()))
+                made.append(Calibration(effective_ns, state.stamp_ns, state.bias_g.copy(), gyro, state.bias_a.copy(), accel))
             self._last = interval
         return made

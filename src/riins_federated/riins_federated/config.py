@@ -10,21 +10,8 @@ from dataclasses import dataclass
 
 from riins_core.settings import SettingError, section, setting
 
-
-@dataclass(frozen=True)
-class InertialModel:
-    """Error model of the fused triad, as the filter assumes it."""
-
-    gyro_bias_deg_h: float = setting(0.01, "sigma of the constant gyro bias", "deg/h", 0.0, 1e5)
-    gyro_markov_deg_h: float = setting(0.003, "sigma of the first-order Gauss-Markov gyro drift; 0: none", "deg/h", 0.0, 1e5)
-    gyro_markov_time_s: float = setting(3600.0, "correlation time of the Gauss-Markov gyro drift", "s", 1.0, 1e7)
-    gyro_arw_deg_sqrt_h: float = setting(0.002, "angle random walk", "deg/sqrt(h)", 1e-9, 1e3)
-    gyro_bias_walk_deg_h_sqrt_h: float = setting(0.0, "random walk of the gyro bias", "deg/h/sqrt(h)", 0.0, 1e5)
-    accel_bias_ug: float = setting(50.0, "sigma of the constant accelerometer bias", "ug", 0.0, 1e6)
-    accel_vrw_ug_sqrt_hz: float = setting(10.0, "velocity random walk, as noise density", "ug/sqrt(Hz)", 1e-9, 1e6)
-    follow_covariance: bool = setting(True, "where the covariance of fused samples exceeds this model, as after an isolation, it is believed")
-    bias_steps: bool = setting(True, "the fused bias steps when other sensors are fused, as with wls; glr_kf has learned the biases and keeps it")
-    accel_bias_walk_ug_sqrt_h: float = setting(0.0, "random walk of the accelerometer bias", "ug/sqrt(h)", 0.0, 1e6)
+from .inertial_model import InertialModel
+from .state_blocks import StateModel
 
 
 @dataclass(frozen=True)
@@ -112,6 +99,9 @@ class NavigatorConfig:
     calibration_lead_s: float = setting(
         20.0, "they hold from this much later on: more than max_delay_s and what the fusion may be ahead (10 s offline)", "s", 0.05, 1e5
     )
+    states: tuple[str, ...] = setting(
+        ("gyro_markov",), "states beyond the fifteen of the INS, for the inertial sensors: gyro_markov, accel_markov, gyro_scale, accel_scale"
+    )
     inertial: InertialModel = section(InertialModel, "error model of the fused triad")
     gps: PositionAid = section(PositionAid, "GPS receiver")
     bds: PositionAid = section(PositionAid, "BDS receiver")
@@ -121,6 +111,7 @@ class NavigatorConfig:
     validity: ValidityLimits = section(ValidityLimits, "validity flags")
 
     def __post_init__(self) -> None:
+        StateModel(self.inertial, self.states)
         if self.calibration_lead_s <= self.max_delay_s:
             raise SettingError('"calibration_lead_s" must exceed "max_delay_s": it would come too late')
         limits = self.validity

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from riins_core import ins_error
 from riins_core.ins_error import PHI, VEL, State
 from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
 from riins_core.strapdown import strapdown_block
@@ -18,11 +19,12 @@ from riins_fdi.health import Change
 
 from .aiding import HeightModel, Pose, PositionModel, VelocityModel
 from .config import NavigatorConfig
-from .error_filter import N_ERROR, ProcessNoise, correct, initial_covariance, transition
+from .error_filter import gather, transition
 from .local_filter import LocalFilter
 from .master import FusionReset, InformationMaster, Master
 from .sample_noise import SampleNoise
 from .solution import body_rate, solution
+from .state_blocks import N_FED_BACK, StateModel
 from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall
 
 VERTICAL = [int(State.POS_D), int(State.VEL_D)]
@@ -36,8 +38,9 @@ class _Motion:
     nav_before: Array  # one sample earlier
     dtheta: Array
     dv: Array
-    parameters: Array  # gyro bias, accelerometer bias, gyro drift, log yaw, log scale
+    parameters: Array  # estimated: gyro bias, accelerometer bias, then in the order of the state
     sums: Array
+    swing: Array  # see error_filter.gather
     rate: Array  # last two samples, newest first
     force: Array
     noise: Array  # of SampleNoise
@@ -49,7 +52,7 @@ class _Motion:
 
     def copy(self) -> _Motion:
         fresh = replace(self)
-        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "rate", "force", "noise"):
+        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "swing", "rate", "force", "noise"):
             setattr(fresh, name, getattr(self, name).copy())
         return fresh
 
@@ -64,22 +67,28 @@ class IntegratedFilter:
     Attributes
     ----------
     subfilters : LocalFilter for each aid that is enabled
+    states : the assembled error state
     running : it has an initial state
     """
 
     def __init__(self, config: NavigatorConfig) -> None:
         self._config = config
-        self._noise = ProcessNoise(config)
         self._sample_noise = SampleNoise(config)
         self._height = HeightModel(config.height)
-        self.subfilters = [LocalFilter("gps", PositionModel(config.gps), config.isolation, config.gps.timeout_s)] if config.gps.enabled else []
+        models: dict[str, PositionModel | VelocityModel] = {}
+        if config.gps.enabled:
+            models["gps"] = PositionModel(config.gps)
         if config.bds.enabled:
-            self.subfilters.append(LocalFilter("bds", PositionModel(config.bds), config.isolation, config.bds.timeout_s))
+            models["bds"] = PositionModel(config.bds)
         if config.doppler.enabled:
-            self.subfilters.append(LocalFilter("doppler", VelocityModel(config.doppler), config.isolation, config.doppler.timeout_s))
+            models["doppler"] = VelocityModel(config.doppler)
+        self.states = StateModel(config.inertial, config.states, (block for model in models.values() for block in model.blocks()))
+        for model in (*models.values(), self._height):
+            model.place(self.states)
+        self.subfilters = [LocalFilter(name, model, config.isolation, getattr(config, name).timeout_s) for name, model in models.items()]
         self._motion: _Motion | None = None
-        self._master: Master = InformationMaster(np.zeros((N_ERROR, N_ERROR)), 1)
-        self._Phi, self._Qd = np.empty((N_ERROR, N_ERROR)), np.empty((N_ERROR, N_ERROR))
+        self._master: Master = InformationMaster(np.zeros((self.states.n, self.states.n)), 1)
+        self._Phi, self._Qd = np.empty((self.states.n, self.states.n)), np.empty((self.states.n, self.states.n))
 
     @property
     def running(self) -> bool:
@@ -113,8 +122,9 @@ class IntegratedFilter:
             nav.copy(),
             np.zeros(3),
             np.zeros(3),
-            np.concatenate([initial.gyro_bias, initial.accel_bias, np.zeros(5)]),
+            self.states.initial_parameters(initial),
             np.zeros(13),
+            np.zeros(6),
             np.zeros((2, 3)),
             np.zeros((2, 3)),
             self._sample_noise.fresh(),
@@ -122,7 +132,7 @@ class IntegratedFilter:
             started_ns=initial.stamp_ns,
             reset_count=before.reset_count + 1 if before else 0,
         )
-        P0 = initial_covariance(initial, self._config)
+        P0 = self.states.initial_covariance(initial)
         shares = len(self.subfilters) + 1  # the mean height is the last one's
         self._master = FusionReset(P0, shares) if self._config.structure == "fusion_reset" else InformationMaster(P0, shares)
 
@@ -136,32 +146,38 @@ class IntegratedFilter:
         """Advance the nominal state by samples (m, 3), (m, 3), (m,) of covariances (m, 3, 3), the last of which ends at `stamp_ns`."""
         m = self._running()
         self._sample_noise.gather(m.noise, rate_covariance, force_covariance, dt)
-        p = m.parameters
-        bias_g = p[0:3] + p[6:9]
         if len(dt) > 1:
-            strapdown_block(m.nav, m.dtheta, m.dv, rate[:-1], force[:-1], dt[:-1], bias_g, p[3:6], m.sums)
             m.rate[0], m.force[0] = rate[-2], force[-2]
         elif not m.dt:
             m.rate[0], m.force[0] = rate[0], force[0]
-        m.nav_before[:] = m.nav
-        strapdown_block(m.nav, m.dtheta, m.dv, rate[-1:], force[-1:], dt[-1:], bias_g, p[3:6], m.sums)
         m.rate[1], m.force[1] = m.rate[0], m.force[0]
         m.rate[0], m.force[0] = rate[-1], force[-1]
+        bias_g, bias_a = self.states.biases(m.parameters)
+        if self.states.scaled:
+            gain_g, gain_a = self.states.gains(m.parameters)
+            rate, force, bias_g, bias_a = rate * gain_g, force * gain_a, bias_g * gain_g, bias_a * gain_a
+            gather(m.swing, rate - bias_g, force - bias_a, dt)
+        if len(dt) > 1:
+            strapdown_block(m.nav, m.dtheta, m.dv, rate[:-1], force[:-1], dt[:-1], bias_g, bias_a, m.sums)
+        m.nav_before[:] = m.nav
+        strapdown_block(m.nav, m.dtheta, m.dv, rate[-1:], force[-1:], dt[-1:], bias_g, bias_a, m.sums)
         m.dt, m.stamp_ns = float(dt[-1]), stamp_ns
 
     def propagate(self) -> None:
         """Bring the error covariance up to the nominal state."""
         m = self._running()
         if m.sums[12] > 0.0:
-            transition(m.nav, m.sums, self._noise.density, self._noise.markov_rate, self._Phi, self._Qd)
+            s = self.states
+            transition(m.nav, m.sums, m.swing, s.density, s.decay, s.column, s.factor, self._Phi, self._Qd)
             self._sample_noise.add(m.noise, m.sums[3:12].reshape(3, 3) / m.sums[12], float(m.sums[12]), self._Qd)
             self._master.predict(self._Phi, self._Qd)
             m.sums[:] = 0.0
+            m.swing[:] = 0.0
 
     def judge(self, index: int, aid: Aid) -> tuple[Judged, Change | None]:
         """Test a measurement of subfilter `index`, not later than the newest sample, and fuse it if it passes."""
         local = self.subfilters[index]
-        measurement = local.model.measurement(aid, self._pose(aid.stamp_ns))
+        measurement = local.model.measurement(aid, self._pose(aid.stamp_ns), self._running().parameters)
         judged, change = local.judge(aid.stamp_ns, measurement, self._master.x, self._master.P)
         if judged.accepted:
             self._master.update(index, measurement)
@@ -181,7 +197,7 @@ class IntegratedFilter:
 
     def damp_vertical(self) -> None:
         """Correct height and vertical velocity of the nominal state alone: without aids they run away, e-fold in ten minutes, and it with them."""
-        x = np.zeros(N_ERROR)
+        x = np.zeros(self.states.n)
         x[VERTICAL] = self._master.x[VERTICAL]
         if x.any():
             self._shift(x)
@@ -190,7 +206,7 @@ class IntegratedFilter:
     def recall(self, recall: Recall) -> None:
         """Take out of the nominal state what declared sensors have put in; the aids' corrections since, and the position, stay."""
         C_nb = self._running().nav[6:15].reshape(3, 3)
-        x = np.zeros(N_ERROR)
+        x = np.zeros(self.states.n)
         x[PHI] = -(C_nb @ recall.angle)  # computed C_nb = C_nb exp([angle x]) = (I - [phi x]) C_nb
         x[VEL] = C_nb @ recall.velocity
         self._shift(x)
@@ -198,8 +214,8 @@ class IntegratedFilter:
     def _shift(self, x: Array) -> None:
         """Subtract errors from the nominal state; beyond one sigma it is a reset."""
         m, P = self._running(), self._master.P
-        correct(m.nav, m.parameters, x)
-        correct(m.nav_before, m.parameters.copy(), x)
+        self.states.correct(m.nav, m.parameters, x)
+        ins_error.correct(m.nav_before, x[:N_FED_BACK])
         position, velocity, heading = math.hypot(x[0], x[1]), math.hypot(x[3], x[4]), abs(x[8])
         if position**2 > P[0, 0] + P[1, 1] or velocity**2 > P[3, 3] + P[4, 4] or heading**2 > P[8, 8]:
             m.reset_count += 1
@@ -218,6 +234,7 @@ class IntegratedFilter:
             m.stamp_ns,
             m.nav,
             m.parameters,
+            self.states,
             m.rate[0],
             m.force[0],
             self._master.x,
@@ -250,7 +267,7 @@ class IntegratedFilter:
     def _pose(self, stamp_ns: int) -> Pose:
         """Nominal state at a stamp within the newest sample, by linear interpolation."""
         m = self._running()
-        nav, p = m.nav, m.parameters
+        nav = m.nav
         rate = 1.5 * m.rate[0] - 0.5 * m.rate[1]  # from means over samples to the end of the newest
         back = (m.stamp_ns - stamp_ns) * 1e-9
         if back > 0.0 and m.dt > 0.0:
@@ -259,5 +276,5 @@ class IntegratedFilter:
             C_now, C_before = m.nav[6:15].reshape(3, 3), m.nav_before[6:15].reshape(3, 3)
             nav[6:15] = (C_now @ exp_so3(w * log_so3(C_now.T @ C_before))).ravel()
             rate = rate + w * (m.rate[1] - m.rate[0])
-        rate_b = body_rate(nav, rate - p[0:3] - p[6:9])
-        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, p[9:11])
+        rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
+        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b)

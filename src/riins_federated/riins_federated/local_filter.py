@@ -87,7 +87,7 @@ class LocalFilter:
         ----------
         stamp_ns : measurement time
         measurement : z, H, R against the nominal state
-        x, P : (20,), (20, 20), fused error state
+        x, P : (n,), (n, n), fused error state
 
         Returns
         -------

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from riins_core import kalman
 
 from .aiding import Measurement
-from .error_filter import N_ERROR, propagate
+from .error_filter import propagate
 from .information_sharing import checked_shares, equal_shares
 from .types import Array
 
 
 class Master(Protocol):
-    """What the navigator asks of a structure. x: (20,), P: (20, 20), of the fused error state."""
+    """What the navigator asks of a structure. x: (n,), P: (n, n), of the fused error state."""
 
     x: Array
     P: Array
@@ -51,7 +51,7 @@ class InformationMaster:
     """
 
     def __init__(self, P0: Array, n_subfilters: int) -> None:
-        self.x = np.zeros(N_ERROR)
+        self.x = np.zeros(len(P0))
         self.P = P0.copy()
         self.beta = equal_shares(n_subfilters)
 
@@ -85,9 +85,9 @@ class FusionReset:
 
     def __init__(self, P0: Array, n_subfilters: int, beta: ArrayLike | None = None) -> None:
         self.beta = equal_shares(n_subfilters) if beta is None else checked_shares(beta)
-        self.local_x = np.zeros((n_subfilters, N_ERROR))
+        self.local_x = np.zeros((n_subfilters, len(P0)))
         self.local_P = P0 / self.beta[:, None, None]
-        self.x = np.zeros(N_ERROR)
+        self.x = np.zeros(len(P0))
         self.P = P0.copy()
 
     def predict(self, Phi: Array, Qd: Array) -> None:
@@ -130,7 +130,7 @@ class FusionReset:
         fused = np.linalg.inv(total)
         self.P = np.zeros_like(self.P)
         self.P[np.ix_(on, on)] = 0.5 * (fused + fused.T) * np.outer(scale, scale)
-        self.x = np.zeros(N_ERROR)
+        self.x = np.zeros(len(self.P))
         self.x[on] = fused @ vector * scale
         self.local_x[:] = self.x
         self.local_P[:] = self.P / self.beta[:, None, None]

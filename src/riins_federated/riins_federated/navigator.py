@@ -69,6 +69,11 @@ class Navigator:
         self._dropped_samples = 0  # so that indices stay true when the oldest go
         self._sample = 0  # the first not yet worked
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the states with their units, in the order of the covariance."""
+        return self._filter.states.labels
+
     # ---- input ----
 
     def set_initial_state(self, initial: InitialState) -> str:

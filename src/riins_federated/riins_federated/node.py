@@ -29,7 +29,6 @@ from riins_node.runner import AutostartLifecycleNode, run
 
 from .calibration import Calibrator
 from .config import NodeConfig
-from .error_filter import LABELS
 from .navigator import Navigator
 from .plain_imu import PlainImu
 from .reporting import Grid, diagnosis, what_changed
@@ -207,7 +206,7 @@ class NavigatorNode(AutostartLifecycleNode):
             self._publish("nav/innovations", fields.innovation(judged))
         for settled in self._navigator.drain_settled():
             self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
-            self._publish("nav/covariance", fields.nav_covariance(settled, LABELS))
+            self._publish("nav/covariance", fields.nav_covariance(settled, self._navigator.labels))
             self._settled_sequence += 1
             for calibration in self._calibrator.take([settled]):
                 self._publish("nav/calibration", fields.inertial_calibration(calibration))

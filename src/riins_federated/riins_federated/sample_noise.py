@@ -1,7 +1,7 @@
 """Noise of the samples themselves: what the fused IMU loses when it loses a sensor, as process noise of the error filter.
 
 Lives here: `SampleNoise`, which gathers the covariances that come with the samples and says what they add to the configured model.
-Does not live here: the configured model (error_filter.ProcessNoise), where the covariances come from (riins_imu_fusion).
+Does not live here: the configured model (state_blocks.inertial_density), where the covariances come from (riins_imu_fusion).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from riins_core.jit import jit
 from riins_core.sensor_errors import DEG_PER_H, MICRO_G
 
 from .config import NavigatorConfig
-from .error_filter import ProcessNoise
+from .state_blocks import inertial_density
 from .types import Array
 
 SUM, LAST, STEP = 0, 1, 2
@@ -35,7 +35,7 @@ class SampleNoise:
     """
 
     def __init__(self, config: NavigatorConfig) -> None:
-        model, density = config.inertial, ProcessNoise(config).density
+        model, density = config.inertial, inertial_density(config.inertial)
         self._follow, self._steps = model.follow_covariance, model.bias_steps
         self._density = np.array([density[PHI][0], density[VEL][0]])
         self._bias = np.array([model.gyro_bias_deg_h * DEG_PER_H, model.accel_bias_ug * MICRO_G]) ** 2 / self._density
@@ -53,7 +53,7 @@ class SampleNoise:
             _gather(state[1], force_covariance, dt, self._density[1])
 
     def add(self, state: Array, C_nb: Array, interval: float, Qd: Array) -> None:
-        """Add what the interval's samples have beyond the model to the process noise Qd (20, 20), and begin the next interval."""
+        """Add what the interval's samples have beyond the model to the process noise Qd (n, n), and begin the next interval."""
         if not self._follow:
             return
         for kind, (white, bias) in enumerate(((PHI, BG), (VEL, BA))):

@@ -15,7 +15,7 @@ from riins_core.rotation import euler_from_dcm
 from riins_fdi.innovation import nis_threshold
 
 from .config import ValidityLimits
-from .error_filter import correct
+from .state_blocks import StateModel
 from .types import Array, Mode, NavSolution, Validity
 
 P95 = nis_threshold(0.05, 2)
@@ -32,6 +32,7 @@ def solution(
     stamp_ns: int,
     nav: Array,
     parameters: Array,
+    states: StateModel,
     rate: Array,
     force: Array,
     x: Array,
@@ -46,9 +47,10 @@ def solution(
     Parameters
     ----------
     stamp_ns : measurement time
-    nav, parameters : (16,), (11,), nominal state, see error_filter.correct
-    rate, force : (3,), last sample, rad/s, m/s^2, FRD
-    x, P : (20,), (20, 20), estimated error state and covariance
+    nav, parameters : (16,), (n - 9,), nominal state and estimated parameters
+    states : the assembled error state
+    rate, force : (3,), last sample as it came, rad/s, m/s^2, FRD
+    x, P : (n,), (n, n), estimated error state and covariance
     mode, limits, reset_count, reset : as in NavSolution
 
     Returns
@@ -57,10 +59,10 @@ def solution(
     """
     nav, parameters = nav.copy(), parameters.copy()
     if x.any():
-        correct(nav, parameters, x)
+        states.correct(nav, parameters, x)
     C_nb = nav[6:15].reshape(3, 3)
     roll, pitch, heading = euler_from_dcm(C_nb)
-    bias_g = parameters[0:3] + parameters[6:9]
+    bias_g, bias_a = states.biases(parameters)
     lon = (nav[1] + math.pi) % (2.0 * math.pi) - math.pi
     major = horizontal_variance(P[0:2, 0:2])
     return NavSolution(
@@ -71,10 +73,10 @@ def solution(
         nav[3:6].copy(),
         np.array([roll, pitch, heading]),
         C_nb.copy(),
-        body_rate(nav, rate - bias_g),
-        force - parameters[3:6],
-        bias_g,
-        parameters[3:6].copy(),
+        body_rate(nav, states.rate(parameters, rate)),
+        states.force(parameters, force),
+        bias_g.copy(),
+        bias_a.copy(),
         P.copy(),
         mode,
         validity(P, float(nav[0]), mode, limits),

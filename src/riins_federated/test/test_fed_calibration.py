@@ -7,18 +7,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from riins_core.ins_error import State
 from riins_core.settings import SettingError
 from riins_federated.calibration import Calibrator
 from riins_federated.config import NavigatorConfig
-from riins_federated.error_filter import N_ERROR, NavError
+from riins_federated.state_blocks import StateModel
 from riins_federated.types import Mode
 
 S = 1_000_000_000
 
 
 def settled(stamp_ns: int, mode: Mode = Mode.NAVIGATING) -> SimpleNamespace:
-    P = np.diag(np.arange(1.0, N_ERROR + 1))
-    P[NavError.BG_X, NavError.GM_X] = P[NavError.GM_X, NavError.BG_X] = -2.0
+    states = StateModel(NavigatorConfig().inertial, ["gyro_markov"])
+    P = np.diag(np.arange(1.0, states.n + 1))
+    drift = states.places["gyro_markov"].start
+    P[State.BG_X, drift] = P[drift, State.BG_X] = -2.0
     return SimpleNamespace(stamp_ns=stamp_ns, bias_g=np.array([1.0, 2.0, 3.0]) * stamp_ns, bias_a=np.array([4.0, 5.0, 6.0]), P=P, mode=mode)
 
 

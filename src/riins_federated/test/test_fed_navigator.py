@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from riins_core.earth import radii
-from riins_federated.error_filter import NavError
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, Mode, NavSolution, Reason, UseCommand, Validity
 
@@ -267,7 +266,8 @@ def test_starts_again_from_a_state_given_in_mid_run(v: Voyage) -> None:
 
 def test_the_log_misalignment_is_estimated_with_its_sigma(v: Voyage, straight) -> None:
     settled, _ = straight
-    sigma = np.sqrt(settled[-1].P[NavError.LOG_YAW, NavError.LOG_YAW])
+    yaw = Navigator(config()).labels.index("doppler_yaw [rad]")
+    sigma = np.sqrt(settled[-1].P[yaw, yaw])
     assert sigma < 0.8 * np.radians(0.4)
     heading = np.array([s.rph[2] for s in settled[-1:]])
     assert np.isfinite(heading).all()

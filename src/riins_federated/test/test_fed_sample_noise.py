@@ -7,10 +7,11 @@ import pytest
 from fed_voyage import config, voyage
 
 from riins_core.imu_array import CONFIGURATIONS, ImuArray
+from riins_core.ins_error import BA, BG, N_STATES, PHI, VEL
 from riins_core.rotation import dcm_from_euler
-from riins_federated.error_filter import BA, BG, N_ERROR, PHI, VEL, ProcessNoise
 from riins_federated.navigator import Navigator
 from riins_federated.sample_noise import SampleNoise
+from riins_federated.state_blocks import inertial_density
 
 DT = 0.01
 ARRAY = ImuArray(CONFIGURATIONS["dodecahedron"])
@@ -32,7 +33,7 @@ def test_subset_and_set_differ_by_an_error_of_the_difference_of_their_covariance
 
 def gathered(noise: SampleNoise, gyro: np.ndarray, accel: np.ndarray, cuts: tuple[int, ...] = ()) -> np.ndarray:
     """Process noise of one interval with samples of these covariances, the body turned."""
-    state, Qd = noise.fresh(), np.zeros((N_ERROR, N_ERROR))
+    state, Qd = noise.fresh(), np.zeros((N_STATES, N_STATES))
     for part in np.split(np.arange(len(gyro)), cuts):
         noise.gather(state, gyro[part], accel[part], np.full(len(part), DT))
     noise.add(state, C_NB, len(gyro) * DT, Qd)
@@ -44,7 +45,7 @@ C_NB = dcm_from_euler(0.1, -0.2, 1.0)
 
 
 def test_a_sensor_that_leaves_adds_white_noise_and_a_step_of_the_bias() -> None:
-    density = ProcessNoise(config()).density
+    density = inertial_density(config().inertial)
     gyro = np.array([covariance(WHOLE if k < 30 else FIVE, density[PHI][0]) for k in range(100)])
     accel = np.tile(covariance(WHOLE, density[VEL][0]), (100, 1, 1))
     noise = SampleNoise(config())
@@ -60,7 +61,7 @@ def test_a_sensor_that_leaves_adds_white_noise_and_a_step_of_the_bias() -> None:
 
 
 def test_a_sensor_that_returns_steps_the_bias_again_and_no_covariance_means_the_model() -> None:
-    density = ProcessNoise(config()).density
+    density = inertial_density(config().inertial)
     gyro = np.array([covariance(FIVE if k < 30 else WHOLE, density[PHI][0]) for k in range(100)])
     bad = np.full((100, 3, 3), np.nan)
     Qd = gathered(SampleNoise(config()), gyro, bad)
@@ -71,7 +72,7 @@ def test_a_sensor_that_returns_steps_the_bias_again_and_no_covariance_means_the_
 
 
 def test_navigator_is_less_sure_after_a_loss_and_as_sure_as_ever_with_the_whole_set() -> None:
-    v, density = voyage(), ProcessNoise(config()).density
+    v, density = voyage(), inertial_density(config().inertial)
     accel = np.tile(covariance(WHOLE, density[VEL][0]), (3000, 1, 1))
     heading = {}
     for name, mask in (("unknown", None), ("whole", WHOLE), ("five", FIVE)):

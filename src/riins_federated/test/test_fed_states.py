@@ -1,0 +1,129 @@
+"""The assembled error state: the kernels against matrix exponentials, every block's coupling, and the numbers of the state that used to be fixed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fed_voyage import config, run, voyage
+
+from riins_core.ins_error import BA, BG, N_STATES, PHI, VEL, error_dynamics
+from riins_core.kalman import van_loan
+from riins_core.rotation import dcm_from_euler
+from riins_core.settings import SettingError
+from riins_federated.error_filter import propagate, transition
+from riins_federated.inertial_model import InertialModel
+from riins_federated.navigator import Navigator
+from riins_federated.state_blocks import Block, StateModel
+
+ALL = ("gyro_markov", "accel_markov", "gyro_scale", "accel_scale")
+RATE, FORCE = np.array([0.02, -0.01, 0.03]), np.array([0.3, 0.5, -9.7])
+C_NB = dcm_from_euler(0.05, -0.03, 2.2)
+NAV = np.array([0.7, 2.1, 12.0, 5.0, -3.0, 0.2, *C_NB.ravel(), 0.01])
+
+
+def interval(states: StateModel, T: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and process noise of an interval of steady motion."""
+    sums, swing = np.r_[T * C_NB @ FORCE, T * C_NB.ravel(), T], T * np.r_[RATE, FORCE]
+    Phi, Qd = np.empty((states.n, states.n)), np.empty((states.n, states.n))
+    transition(NAV, sums, swing, states.density, states.decay, states.column, states.factor, Phi, Qd)
+    return Phi, Qd
+
+
+def continuous(states: StateModel) -> np.ndarray:
+    """Dynamics of all states, written out here by hand."""
+    F = np.zeros((states.n, states.n))
+    F[:N_STATES, :N_STATES] = error_dynamics(NAV, C_NB @ FORCE, C_NB)
+    for name, rows, entry in (
+        ("gyro_markov", PHI, -C_NB),
+        ("gyro_scale", PHI, -C_NB * RATE),
+        ("accel_markov", VEL, C_NB),
+        ("accel_scale", VEL, C_NB * FORCE),
+    ):
+        at = states.place(name)
+        if at is not None:
+            F[rows, at] = entry
+    return F - np.diag(states.decay)
+
+
+@pytest.mark.parametrize("names", [(), *((name,) for name in ALL), ALL, ALL[::-1]], ids=lambda names: "+".join(names) or "none")
+def test_transition_is_the_matrix_exponential_to_second_order(names: tuple[str, ...]) -> None:
+    model = InertialModel(gyro_markov_time_s=50.0, accel_markov_time_s=20.0, gyro_markov_deg_h=0.1, accel_markov_ug=30.0)
+    states = StateModel(model, names, [Block("log.scale", ("log_scale [1]",), 1e-3), Block("log.current", ("a [m/s]", "b [m/s]"), 0.3, 15.0)])
+    size = np.where(states.initial_sigma() > 0.0, states.initial_sigma(), 1.0)
+    size[:N_STATES] = np.repeat([10.0, 0.1, 1e-4, 5e-8, 5e-4], 3)
+    apart = []
+    for T in (1.0, 0.5):
+        Phi, Qd = interval(states, T)
+        want, noise = van_loan(continuous(states), np.diag(states.density), T)
+        apart.append(np.abs((Phi - want) * size / size[:, None]).max())
+        assert np.abs(Qd - noise).max() < 2e-2 * np.abs(noise).max()
+        markov = states.decay > 0.0
+        assert np.diag(Phi)[markov] == pytest.approx(np.diag(want)[markov], rel=1e-12)
+        assert np.diag(Qd)[markov] == pytest.approx(np.diag(noise)[markov], rel=1e-9)
+        assert np.array_equal(Qd, Qd.T) and np.linalg.eigvalsh(Qd / np.outer(size, size)).min() > -1e-15
+    assert apart[0] < 1e-4 and apart[1] < 0.2 * apart[0]  # third order in T: an eighth
+
+
+def test_propagate_is_phi_p_phi_plus_q() -> None:
+    rng = np.random.default_rng(0)
+    states = StateModel(InertialModel(), ALL, [Block("a", ("a [m]", "b [m]"), 1.0, 30.0)])
+    Phi, Qd = interval(states, 1.0)
+    root = rng.normal(size=(states.n, states.n))
+    x, P = rng.normal(size=states.n), root @ root.T
+    want_x, want_P = Phi @ x, Phi @ P @ Phi.T + 2.0 * Qd
+    propagate(x, P, Phi, Qd, 2.0)
+    assert x == pytest.approx(want_x, rel=1e-12, abs=1e-12)
+    assert np.abs(P - want_P).max() < 1e-12 * np.abs(want_P).max()
+    assert np.array_equal(P, P.T)
+
+
+def test_the_24_states_of_002_and_names_that_are_none() -> None:
+    states = StateModel(InertialModel(), ("gyro_markov", "gyro_scale", "accel_scale"))
+    assert states.n == 24 and states.labels[15] == "gm_x [rad/s]" and states.labels[23] == "sa_z [1]"
+    assert StateModel(InertialModel(gyro_markov_deg_h=0.0), ("gyro_markov",)).n == N_STATES
+    with pytest.raises(SettingError, match=r'"gyro_scal".*did you mean "gyro_scale"'):
+        StateModel(InertialModel(), ("gyro_scal",))
+    with pytest.raises(SettingError, match="twice"):
+        StateModel(InertialModel(), ("gyro_scale", "gyro_scale"))
+
+
+def test_estimated_errors_leave_the_samples() -> None:
+    states = StateModel(InertialModel(), ALL)
+    rng = np.random.default_rng(1)
+    x = np.r_[np.zeros(9), 1e-6 * rng.normal(size=3), 1e-3 * rng.normal(size=3), np.zeros(12)]
+    for name, scale in zip(ALL, (1e-6, 1e-3, 1e-3, 1e-3), strict=True):
+        x[states.places[name]] = scale * rng.normal(size=3)
+    errors = {name: x[states.places[name]] for name in ALL}
+    parameters = np.zeros(states.n - 9)
+    states.correct(NAV.copy(), parameters, x)
+    measured = (1.0 + errors["gyro_scale"]) * RATE + x[BG] + errors["gyro_markov"]
+    assert states.rate(parameters, measured) == pytest.approx(RATE, rel=1e-14)
+    measured = (1.0 + errors["accel_scale"]) * FORCE + x[BA] + errors["accel_markov"]
+    assert states.force(parameters, measured) == pytest.approx(FORCE, rel=1e-14)
+
+
+# Of the navigator whose twenty states were written out by hand: lat, lon, h, v_n, rph, gyro and accelerometer bias, body rate, specific force
+OLD = np.array([
+    0.6981274280978885, 2.0944516543613823, 5.293977106869566, -2.4460714878536933, 4.5132238941220635, -0.20162787277845665, 0.0037619653105493184,
+    0.0004122317544375202, 2.095652816222382, -3.6392937632234728e-09, 8.899479626026517e-09, -1.028490471553251e-10, -0.00039830833851023427,
+    0.00026871382943840935, 3.301986634487341e-05, -0.009419410633402823, -0.0006243290560877864, 0.0003418742516946207, -0.02028798914246061,
+    -0.16795320524994928, -9.598138352566366,
+])  # fmt: skip
+OLD_SIGMA = np.array([
+    0.704125358662737, 0.5562160556139241, 0.9202470396259759, 0.018140069311303787, 0.016259024935008907, 0.008863991273107049,
+    6.657218387844403e-05, 5.964632038213344e-05, 0.0019200512366751167, 1.696077997505652e-07, 1.6961352094481475e-07, 1.6979993479631026e-07,
+    0.0005759133435982366, 0.0005783193871747564, 0.00025330119626330985, 9.692687248909316e-08, 9.692793749674494e-08, 9.696269030143366e-08,
+    0.0033793302637874644, 0.0004956963566953535,
+])  # fmt: skip
+
+
+def test_the_default_states_give_the_numbers_of_the_state_that_used_to_be_fixed() -> None:
+    inertial = {"gyro_markov_deg_h": 0.02, "gyro_bias_walk_deg_h_sqrt_h": 0.01, "accel_bias_walk_ug_sqrt_h": 5.0, "gyro_markov_time_s": 1e7}
+    settings = config(inertial=inertial, doppler={"scale_ppm": 500.0, "use_down": True}, gps={"use_height": True, "markov_sigma_m": 1.0})
+    s = run(voyage(), Navigator(settings)).drain_settled()[-1]
+    now = np.concatenate([[s.lat, s.lon, s.h], s.v_n, s.rph, s.bias_g, s.bias_a, s.rate_b, s.force_b])
+    sigma = np.sqrt(np.diag(s.P))
+    assert sigma == pytest.approx(OLD_SIGMA, rel=1e-9)
+    unit = np.r_[sigma[:15], sigma[9:15]]
+    unit[0:2] /= 6.4e6
+    assert np.abs((now - OLD) / unit).max() < 1e-9
