@@ -171,6 +171,7 @@ class IntegratedFilter:
             transition(m.nav, m.sums, m.swing, s.density, s.decay, s.column, s.factor, self._Phi, self._Qd)
             self._sample_noise.add(m.noise, m.sums[3:12].reshape(3, 3) / m.sums[12], float(m.sums[12]), self._Qd)
             self._master.predict(self._Phi, self._Qd)
+            m.parameters *= self._Phi.diagonal()[N_FED_BACK:]  # what is estimated of a Markov process fades as the process does
             m.sums[:] = 0.0
             m.swing[:] = 0.0
 

@@ -163,7 +163,7 @@ class NavSolution:
     rate_b : (3,), body rate relative to NED, rad/s, FRD
     force_b : (3,), specific force less bias, m/s^2, FRD
     bias_g, bias_a : (3,), rad/s, m/s^2, FRD
-    P : (n, n), covariance of the error state, order of `error_filter.NavError`
+    P : (n, n), covariance of the error state, order of the assembled state (state_blocks.StateModel)
     mode : Mode
     validity : (position, velocity, heading)
     protection_radius : m, horizontal, at the configured integrity risk
