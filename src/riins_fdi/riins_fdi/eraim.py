@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
 from riins_core.jit import jit
 from riins_fdi.innovation import nis_threshold
@@ -132,7 +131,7 @@ def separation_into(x_all: Array, P_all: Array, x_loo: Array, P_loo: Array, stat
 
 @jit
 def eigen_into(A: Array, V: Array) -> None:
-    """Kernel: eigenvalues on the diagonal of a small symmetric A (m, m), which is changed, and eigenvectors as columns of V, by Jacobi's rotations."""
+    """Kernel: eigenvalues of a small symmetric A (m, m), left on its diagonal, and eigenvectors as columns of V, by Jacobi's rotations."""
     m = A.shape[0]
     for i in range(m):
         for j in range(m):
@@ -167,25 +166,68 @@ def eigen_into(A: Array, V: Array) -> None:
                 A[q, p] = 0.0
 
 
-def protection_level(separation: Separation, P_loo: ArrayLike, integrity_risk: float) -> float:
-    """Radius that the error of the solution with all aids exceeds unnoticed with no more than a stated probability, if this aid is the faulty one.
+def protection_level(
+    x_all: ArrayLike, P_all: ArrayLike, x_loo: ArrayLike, P_loo: ArrayLike, pfa: float, integrity_risk: float
+) -> float:  # fmt: skip
+    """Radius that the horizontal error of the solution with all aids exceeds unnoticed with no more than a stated probability, if this aid is faulty.
 
     Parameters
     ----------
-    separation : of the two solutions
-    P_loo : (m, m), covariance without the aid, m = 2 for a horizontal position
-    integrity_risk : probability that it is exceeded although no alarm is given
+    x_all, P_all, x_loo, P_loo : (2,), (2, 2), horizontal position as in `solution_separation`
+    pfa : false-alarm probability of that test
+    integrity_risk : probability that the radius is exceeded although no alarm is given
 
     Returns
     -------
-    |d| that passes the test plus the error of the solution without the aid: sqrt(threshold lambda(D)) + sqrt(chi-square^-1(risk) lambda(P_loo)),
-    lambda the largest eigenvalue; the level of a navigator is the largest over its aids. An upper bound: both are taken in their worst direction.
+    |d| that passes the test, or the one found where that is larger (an alarm that is not yet acted on), plus the error of the solution without the
+    aid: sqrt(threshold lambda(D)) + sqrt(chi-square^-1(risk) lambda(P_loo)), lambda the largest eigenvalue. The level of a navigator is the largest
+    over its aids, and not below that of its own noise. An upper bound: both are taken in their worst direction.
     """
-    if not 0.0 < integrity_risk < 1.0:
-        raise ValueError(f"the integrity risk must be in (0, 1), not {integrity_risk}")
-    P = np.asarray(P_loo, dtype=np.float64)
-    unseen = np.sqrt(separation.threshold * max(float(np.linalg.eigvalsh(separation.covariance)[-1]), 0.0))
-    return float(unseen + np.sqrt(chi2.isf(integrity_risk, len(P)) * np.linalg.eigvalsh(P)[-1]))
+    x, P = np.array([x_all, x_loo], dtype=np.float64), np.array([P_all, P_loo], dtype=np.float64)
+    unseen, quantile = quantiles(pfa, integrity_risk, 1)
+    return float(protection_levels(x, P, np.array([1]), np.array([0, 1]), -1, unseen, quantile)[0])
+
+
+def quantiles(pfa: float, integrity_risk: float, tested: int) -> tuple[Array, Array]:
+    """Thresholds of the separation test over two and over `tested` states, and quantiles of the chi-square of 2 and 1 dof; (2,) each."""
+    return (
+        np.array([nis_threshold(pfa, 2), nis_threshold(pfa, tested)]),
+        np.array([nis_threshold(integrity_risk, 2), nis_threshold(integrity_risk, 1)]),
+    )
+
+
+@jit
+def protection_levels(
+    X: Array, P: Array, rows: NDArray[np.int64], position: NDArray[np.int64], heading: int, unseen: Array, quantile: Array
+) -> tuple[float, float]:  # fmt: skip
+    """Kernel: protection level of horizontal position and heading of filter 0 of several.
+
+    Parameters
+    ----------
+    X, P : (k, n), (k, n, n)
+    rows : filters that have left an aid out
+    position, heading : states, the latter -1 where there is none: its level is infinite
+    unseen, quantile : of `quantiles`
+    """
+    a, b = position[0], position[1]
+    level = np.sqrt(quantile[0] * largest_horizontal(P[0, a, a], P[0, b, b], P[0, a, b]))
+    angle = np.sqrt(quantile[1] * max(P[0, heading, heading], 0.0)) if heading >= 0 else np.inf
+    for r in rows:
+        D = largest_horizontal(P[r, a, a] - P[0, a, a], P[r, b, b] - P[0, b, b], P[r, a, b] - P[0, a, b])
+        bias = max(np.sqrt(unseen[0] * D), np.hypot(X[0, a] - X[r, a], X[0, b] - X[r, b]))
+        level = max(level, bias + np.sqrt(quantile[0] * largest_horizontal(P[r, a, a], P[r, b, b], P[r, a, b])))
+        if heading >= 0:
+            D = max(P[r, heading, heading] - P[0, heading, heading], 0.0)
+            bias = max(np.sqrt(unseen[1] * D), abs(X[0, heading] - X[r, heading]))
+            angle = max(angle, bias + np.sqrt(quantile[1] * max(P[r, heading, heading], 0.0)))
+    return level, angle
+
+
+@jit
+def largest_horizontal(xx: float, yy: float, xy: float) -> float:
+    """Larger eigenvalue of a symmetric 2 x 2 matrix, not below 0."""
+    half = 0.5 * (xx - yy)
+    return max(0.5 * (xx + yy) + np.sqrt(half * half + xy * xy), 0.0)
 
 
 def cross_check(z_one: ArrayLike, R_one: ArrayLike, z_other: ArrayLike, R_other: ArrayLike, pfa: float) -> tuple[float, float, bool]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from riins_core import kalman
-from riins_fdi.eraim import cross_check, eraim_statistic, protection_level, solution_separation
+from riins_fdi.eraim import cross_check, eigen_into, eraim_statistic, protection_level, solution_separation
 from riins_fdi.innovation_tests import INNOVATION_TESTS, ImprovedChiSquare, Mewma, Nis
 from riins_fdi.innovation_thresholds import averaged_alarm_rate, improved_statistic, mewma_run_length
 
@@ -131,14 +131,29 @@ def test_separation_has_the_covariance_it_says() -> None:
         found = solution_separation(x2, P2, x1, P1, 0.01)
         statistics.append(found.statistic)
         alarms += found.alarm
-        beyond += np.linalg.norm(x2 - truth) > protection_level(found, P1, 0.01)
+        beyond += np.linalg.norm(x2 - truth) > protection_level(x2, P2, x1, P1, 0.01, 0.01)
     assert np.mean(statistics) == pytest.approx(2.0, abs=0.15)
     assert 8 <= alarms <= 35 and beyond <= 20
     same = solution_separation(x1, P1, x1, P1, 0.01)
     assert (same.dof, same.alarm, same.statistic) == (0, False, 0.0)
     assert solution_separation([np.nan, 0.0], P2, x1, P1, 0.01).alarm
     with pytest.raises(ValueError):
-        protection_level(found, P1, 0.0)
+        protection_level(x2, P2, x1, P1, 0.01, 0.0)
+    # of one's own noise where nothing is apart, and never below what is found apart
+    own = np.sqrt(-2.0 * np.log(0.01) * P1[0, 0])
+    assert protection_level(x1, P1, x1, P1, 0.01, 0.01) == pytest.approx(own)
+    assert protection_level(np.add(x1, [500.0, 0.0]), P2, x1, P1, 0.01, 0.01) == pytest.approx(500.0 + own)
+
+
+def test_small_eigenvalues() -> None:
+    rng = np.random.default_rng(8)
+    for m in (1, 2, 7):
+        A = rng.standard_normal((m, m))
+        A = (A + A.T) * np.outer(10.0 ** -np.arange(m), 10.0 ** -np.arange(m))
+        D, V = A.copy(), np.empty((m, m))
+        eigen_into(D, V)
+        assert (V * np.diag(D)) @ V.T == pytest.approx(A, abs=1e-15) and V.T @ V == pytest.approx(np.eye(m), abs=1e-13)
+        assert np.sort(np.diag(D)) == pytest.approx(np.linalg.eigvalsh(A), abs=1e-14)
 
 
 def test_one_satellite_system_against_another() -> None:

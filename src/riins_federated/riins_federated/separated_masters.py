@@ -7,45 +7,33 @@ Does not live here: the tests (riins_fdi.eraim), what structures share (structur
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from riins_fdi.eraim import Separation, protection_level, solution_separation
+from riins_fdi.eraim import largest_horizontal, protection_levels, quantiles, separation_into
+from riins_fdi.innovation import nis_threshold
 
 from .aiding import Measurement
-from .structures import Estimate, Gate, Structure, Verdict
+from .stacked import Estimate, Rows
+from .structure_settings import SolutionSeparation
+from .structures import Gate, Layout, Replaced, Structure, Verdict, Watched, contiguous
 from .types import Array
 
 
-@dataclass(frozen=True)
-class SeparationSettings:
-    """How an aid is isolated by the separation of solutions, and taken in again.
+class _Apart(NamedTuple):
+    """Two solutions compared over some states."""
 
-    Attributes
-    ----------
-    rows : states compared, the horizontal position
-    navigation : states compared as well, position, velocity and attitude: they tell which aid it is, and find it sooner; none: only `rows`
-    pfa : of one test: 1e-5 is a threshold of 23.0 with two degrees of freedom, 3e-7 one of 30
-    margin : by which what is still parted without the aid to blame must be below that without any other: 10 is a likelihood of 150 to 1
-    confirm_after, confirm_pfa : an aid that has failed so many NIS tests in a row is tested with this pfa: what it put in before goes too
-    worst : an aid is not isolated when the sigma of `rows` would grow by more than this factor: without the last position there is only its gate
-    left_out : masters for every set that leaves out up to so many aids: 0 the plain information form without this test, 1 leave-one-out masters.
-        With 2, another aid may fail too and its leave-one-out master is still one that never saw the first
-    readmit_after : consecutive epochs that an isolated aid must pass its NIS
-    readmit_p : probability that a good aid fails the test at their end and begins again
-    """
+    statistic: float
+    dof: int
 
-    rows: tuple[int, ...] = (0, 1)
-    navigation: tuple[int, ...] = ()
-    pfa: float = 1e-5
-    margin: float = 10.0
-    confirm_after: int = 3
-    confirm_pfa: float = 1e-2
-    worst: float = 10.0
-    left_out: int = 2
-    readmit_after: int = 30
-    readmit_p: float = 0.1
+    def threshold(self, pfa: float) -> float:
+        """Of the chi-square; 0 where nothing can be tested."""
+        return nis_threshold(pfa, self.dof) if self.dof else 0.0
+
+    def alarm(self, pfa: float) -> bool:
+        """It exceeds the threshold, or is not a number."""
+        return self.dof > 0 and not self.statistic <= self.threshold(pfa)
 
 
 class SeparatedMasters(Structure):
@@ -55,13 +43,12 @@ class SeparatedMasters(Structure):
     ----------
     x0, P0 : (n,), (n, n)
     n_aids : aids
-    settings : SeparationSettings
-    gate, adaptive : as in `Structure`
+    settings : SolutionSeparation; `left_out` is no more than there are aids
+    layout, gate, adaptive : as in `Structure`
 
     Attributes
     ----------
     isolated : of each aid, since it was found by separation
-    separation : of each aid's leave-one-out master from the master, at the last epoch
 
     Notes
     -----
@@ -72,163 +59,199 @@ class SeparatedMasters(Structure):
     history never saw it.
     Where that one is not kept (`left_out` too small) the smallest set that is kept and does not hold the aid takes its place: a compromise,
     since it has seen an aid that it should leave out, and the two can only part again by what comes later.
-    An isolated aid is fused by a candidate beside the master for `readmit_after` epochs; it is taken in again if the two have not parted, which
+    An isolated aid is fused by a candidate beside the master for `readmit_after` measurements; it is taken in again if the two have not parted, which
     counts the errors that successive innovations share, as a mean of innovations would not.
     """
 
     def __init__(
-        self, x0: Array, P0: Array, n_aids: int, settings: SeparationSettings = SeparationSettings(), *,
-        gate: Gate = Gate(), adaptive: bool = False,  # noqa: B008
+        self, x0: Array, P0: Array, n_aids: int, settings: SolutionSeparation = SolutionSeparation(), *, layout: Layout = Layout(),
+        gate: Gate | Sequence[Gate] = Gate(), adaptive: bool | Sequence[bool] = False,
     ) -> None:  # fmt: skip
-        super().__init__(n_aids, gate, adaptive)
         self.settings = settings
-        self._all = (1 << n_aids) - 1
-        sets = (s for s in range(self._all + 1) if n_aids - s.bit_count() <= settings.left_out)
-        self._masters = {s: Estimate(x0, P0) for s in sorted(sets, key=lambda s: (-s.bit_count(), s))}
+        everything = (1 << n_aids) - 1
+        sets = (s for s in range(everything + 1) if n_aids - s.bit_count() <= settings.left_out)
+        self._sets = sorted(sets, key=lambda s: (-s.bit_count(), s))
+        self._row = {s: row for row, s in enumerate(self._sets)}
+        masters = len(self._sets)
+        super().__init__(x0, P0, masters + (n_aids if settings.left_out else 0), n_aids, layout, gate, adaptive)
+        self._takes = [np.array([row for row, s in enumerate(self._sets) if s >> i & 1]) for i in range(n_aids)]
+        self._without = [self._row.get(everything & ~(1 << i), -1) for i in range(n_aids)]
+        self._by = [np.array([0, row] if row >= 0 else [0]) for row in self._without]
+        self._slot = [masters + i for i in range(n_aids)]  # of the candidates
+        self._scale = np.append(np.ones(masters), np.zeros(len(self._stack.X) - masters))
+        self._states = np.array(layout.navigation or layout.position)
+        self._position = np.array(layout.position)
+        self._unseen = quantiles(settings.false_alarm_probability, 0.5, len(self._states))[0]
         self.isolated = [False] * n_aids
-        self.separation: list[Separation | None] = [None] * n_aids
-        self._candidate: list[Estimate | None] = [None] * n_aids
+        self._watched = [Watched(0.0, 0.0)] * n_aids
         self._good = [0] * n_aids
         self._failed = [0] * n_aids
-
-    @property
-    def x(self) -> Array:
-        """State of the master (n,)."""
-        return self._masters[self._all].x
-
-    @property
-    def P(self) -> Array:
-        """Its covariance (n, n)."""
-        return self._masters[self._all].P
+        self._heard: list[bool | None] = [None] * n_aids  # passed, failed, or nothing since the last close
 
     def without(self, index: int) -> Estimate:
         """The leave-one-out master of an aid; KeyError where none is kept."""
-        return self._masters[self._all & ~(1 << index)]
+        if self._without[index] < 0:
+            raise KeyError(index)
+        return self._stack[self._without[index]]
 
-    def protection(self, integrity_risk: float) -> float:
-        """Horizontal protection level [m] over the aids in use; infinite where none is tested."""
-        levels = [
-            protection_level(found, self._part(self.without(i).P), integrity_risk)
-            for i, found in enumerate(self.separation)
-            if found is not None and not self.isolated[i]
-        ]
-        return max(levels, default=np.inf)
-
-    def epoch(self, Phi: Array, Qd: Array, aids: Sequence[Measurement | None]) -> list[Verdict | None]:
-        """As in `Structure`; the verdict is the master's."""
-        for one in (*self._masters.values(), *(c for c in self._candidate if c is not None)):
-            one.predict(Phi, Qd)
-        present = self._present(aids)
-        verdicts: list[Verdict | None] = [
-            None if r is None or m is None else self._verdict(i, r, m) for i, (r, m) in enumerate(zip(aids, present, strict=True))
-        ]
-        for i, (verdict, measurement) in enumerate(zip(verdicts, present, strict=True)):
-            if verdict is not None and measurement is not None and verdict.fused:
-                for s, master in self._masters.items():
-                    if s >> i & 1:
-                        master.update(measurement)
-        if self.settings.left_out:
-            self._readmit(present, verdicts)
-            self._separate()
-        return verdicts
-
-    def shift(self, dx: Array) -> None:
+    def predict(self, Phi: Array, Qd: Array) -> None:
         """As in `Structure`."""
-        for one in (*self._masters.values(), *(c for c in self._candidate if c is not None)):
-            one.x -= dx
+        self._stack.predict(Phi, Qd, self._scale)
+
+    def judge(self, index: int, measurement: Measurement) -> Verdict:
+        """As in `Structure`: by the master and by the leave-one-out master of the aid."""
+        verdict = super().judge(index, measurement)
+        again = self._failed[index] + 1 if not verdict.alarm else max(self._failed[index] + 1, self.settings.confirm_after)
+        self._failed[index] = 0 if verdict.passed else again
+        return verdict
+
+    def take(self, index: int, verdict: Verdict, use: bool = True) -> bool:
+        """As in `Structure`; what an isolated aid measures goes to its candidate."""
+        self._heard[index] = verdict.passed
+        if not verdict.passed:
+            return False
+        z, H, R = verdict.measurement.z, verdict.measurement.H, verdict.measurement.R
+        if self.isolated[index]:
+            slot = self._slot[index]
+            if self._scale[slot]:
+                self._stack.update(np.array([slot]), z, H, R)
+            return False
+        if use:
+            self._stack.update(self._with_candidates(self._takes[index]), z, H, R)
+        return use
+
+    def add(self, measurement: Measurement) -> None:
+        """As in `Structure`: in every master."""
+        z, H, R = contiguous(measurement)
+        self._stack.update(np.flatnonzero(self._scale), z, H, R)
+
+    def close(self) -> list[Replaced]:
+        """As in `Structure`: step the candidates, and test every aid in use; where one is to blame, then the rest anew."""
+        if not self.settings.left_out or all(heard is None for heard in self._heard):
+            return []
+        self._readmit()
+        self._heard = [None] * len(self._heard)
+        found = []
+        while (replaced := self._separate()) is not None:
+            found.append(replaced)
+        return found
+
+    def separated(self, index: int) -> bool:
+        """As in `Structure`."""
+        return self.isolated[index]
+
+    def watched(self, index: int) -> Watched:
+        """As in `Structure`."""
+        return self._watched[index]
+
+    def protection(self, integrity_risk: float) -> tuple[float, float]:
+        """As in `Structure`: of noise, and of a fault of any one aid that the separation does not show. A solution without the aid that holds the
+        position alone is inertial, and the level as large as its error may be."""
+        rows = [row for row, isolated in zip(self._without, self.isolated, strict=True) if row >= 0 and not isolated]
+        quantile = quantiles(0.5, integrity_risk, 1)[1]
+        heading = -1 if self.layout.heading is None else self.layout.heading
+        level = protection_levels(self._stack.X, self._stack.P, np.array(rows, np.int64), self._position, heading, self._unseen, quantile)
+        return float(level[0]), float(level[1])
 
     def clone(self) -> SeparatedMasters:
         """As in `Structure`."""
         other = super().clone()
         assert isinstance(other, SeparatedMasters)
-        other._masters = {s: one.copy() for s, one in self._masters.items()}
-        other._candidate = [c.copy() if c is not None else None for c in self._candidate]
-        other.isolated, other.separation, other._good = self.isolated.copy(), self.separation.copy(), self._good.copy()
-        other._failed = self._failed.copy()
         return other
 
-    def _verdict(self, index: int, reported: Measurement, measurement: Measurement) -> Verdict:
-        """Judge by the master and by the leave-one-out master of the aid."""
-        statistic, threshold, passed, held = self._judge(index, reported, measurement, self._masters[self._all])
-        if self.settings.left_out:
-            other = self.without(index).nis(measurement)[0]
-            statistic, passed, held = max(statistic, other), passed and other <= threshold, held and other <= threshold
-        self._failed[index] = 0 if passed else self._failed[index] + 1
-        return Verdict(statistic, threshold, passed, passed and not self.isolated[index], held)
+    def snapshot(self) -> tuple[Any, ...]:
+        """As in `Structure`."""
+        lists = tuple(self.isolated), tuple(self._watched), tuple(self._good), tuple(self._failed)
+        return super().snapshot(), self._scale.copy(), lists
 
-    def _part(self, matrix: Array) -> Array:
-        rows = list(self.settings.rows)
-        return matrix[np.ix_(rows, rows)]
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """As in `Structure`."""
+        common, scale, lists = snapshot
+        super().restore(common)
+        self._scale = scale.copy()
+        self.isolated, self._watched, self._good, self._failed = (list(part) for part in lists)
+        self._heard = [None] * len(self.isolated)
 
-    def _against(self, one: Estimate, other: Estimate, pfa: float, rows: tuple[int, ...]) -> Separation:
-        part = np.array(rows)
-        cut = part[:, None], part
-        return solution_separation(one.x[part], one.P[cut], other.x[part], other.P[cut], pfa)
+    def _judges(self, index: int) -> Rows:
+        return self._by[index]
 
-    def _separate(self) -> None:
-        """Test every aid in use, and isolate the one to blame; then the rest anew."""
-        master, states = self._masters[self._all], self.settings.navigation or self.settings.rows
-        while True:
-            using = [i for i, isolated in enumerate(self.isolated) if not isolated]
-            found = {i: self._against(master, self.without(i), self._pfa(i), self.settings.rows) for i in using}
-            whole = {i: self._against(master, self.without(i), self._pfa(i), states) for i in using} if self.settings.navigation else found
-            self.separation = [found.get(i) for i in range(len(self.isolated))]
-            alarms = [i for i in using if found[i].alarm or whole[i].alarm]
-            if not alarms:
-                return
-            left = {i: -np.inf if self._failing(i) else self._left(i, using, states) for i in using}
-            blamed = min(using, key=lambda i: (left[i], -whole[i].statistic))
-            doubt = self.settings.left_out > 1 and any(left[i] < left[blamed] + self.settings.margin for i in using if i != blamed)
-            if blamed not in alarms or doubt or not self._bearable(blamed):
-                return  # a fault parts other aids' solutions too: wait until it is plain whose it is
-            self._isolate(blamed)
-            master = self._masters[self._all]
+    def _with_candidates(self, rows: Rows) -> Rows:
+        using = np.flatnonzero(self._scale[len(self._sets) :])
+        return np.concatenate([rows, len(self._sets) + using]) if len(using) else rows
+
+    def _against(self, one: int, other: int, states: Rows) -> _Apart:
+        X, P = self._stack.X, self._stack.P
+        return _Apart(*separation_into(X[one], P[one], X[other], P[other], states, np.empty((len(states), len(states)))))
+
+    def _separate(self) -> Replaced | None:
+        """Test every aid in use, and isolate the one to blame."""
+        using = [i for i, isolated in enumerate(self.isolated) if not isolated]
+        both = len(self.layout.navigation) > 0
+        found = {i: self._against(0, self._without[i], self._position) for i in using}
+        whole = {i: self._against(0, self._without[i], self._states) for i in using} if both else found
+        self._watched = [self._nearest(i, found[i], whole[i]) if i in found else Watched(0.0, 0.0) for i in range(len(self.isolated))]
+        alarms = [i for i in using if found[i].alarm(self._pfa(i)) or whole[i].alarm(self._pfa(i))]
+        if not alarms:
+            return None
+        left = {i: -np.inf if self._failing(i) else self._left(i, using) for i in using}
+        blamed = min(using, key=lambda i: (left[i], -whole[i].statistic))
+        doubt = self.settings.left_out > 1 and any(left[i] < left[blamed] + self.settings.margin for i in using if i != blamed)
+        if blamed not in alarms or doubt or not self._bearable(blamed):
+            return None  # a fault parts other aids' solutions too: wait until it is plain whose it is
+        before, (statistic, threshold) = self.x.copy(), self._watched[blamed]
+        self._isolate(blamed)
+        return Replaced(blamed, statistic, threshold, self.x - before)
+
+    def _nearest(self, index: int, *found: _Apart) -> Watched:
+        pfa = self._pfa(index)
+        return max(
+            (Watched(one.statistic, one.threshold(pfa)) for one in found if one.dof),
+            key=lambda w: w.statistic / w.threshold,
+            default=Watched(0.0, 0.0),
+        )
 
     def _bearable(self, index: int) -> bool:
         """The leave-one-out master still knows where it is: it may take the master's place."""
-        return bool(np.linalg.eigvalsh(self._part(self.without(index).P))[-1] <= self.settings.worst**2 * np.linalg.eigvalsh(self._part(self.P))[-1])
+        a, b = self.layout.position
+        one, other = (largest_horizontal(P[a, a], P[b, b], P[a, b]) for P in (self.without(index).P, self.P))
+        return bool(one <= self.settings.worst**2 * other)
 
     def _failing(self, index: int) -> bool:
         return self._failed[index] >= self.settings.confirm_after
 
     def _pfa(self, index: int) -> float:
-        return self.settings.confirm_pfa if self._failing(index) else self.settings.pfa
+        return self.settings.confirm_false_alarm_probability if self._failing(index) else self.settings.false_alarm_probability
 
-    def _left(self, index: int, using: Sequence[int], states: tuple[int, ...]) -> float:
+    def _left(self, index: int, using: Sequence[int]) -> float:
         """What is still parted among the other aids when this one is left out; 0 where no masters are kept that could tell."""
-        without = self._all & ~(1 << index)
-        pairs = [without & ~(1 << j) for j in using if j != index]
-        return max((self._against(self._masters[without], self._masters[s], 0.5, states).statistic for s in pairs if s in self._masters), default=0.0)
+        without = self._sets[self._without[index]]
+        pairs = [self._row.get(without & ~(1 << j)) for j in using if j != index]
+        return max((self._against(self._without[index], row, self._states).statistic for row in pairs if row is not None), default=0.0)
 
     def _isolate(self, index: int) -> None:
         bit = 1 << index
-        for s in [s for s in self._masters if s & bit]:
-            kept = min((k for k in self._masters if not k & bit and k & s == s & ~bit), key=int.bit_count)
-            self._masters[s] = self._masters[kept].copy()
-        self.isolated[index], self._candidate[index], self._good[index] = True, None, 0
-        self._candidate = [None] * len(self._candidate)  # they too may have seen it
+        for row, s in enumerate(self._sets):
+            if s & bit:
+                kept = min((k for k in self._sets if not k & bit and k & s == s & ~bit), key=int.bit_count)
+                self._stack.copy(self._row[kept], row)
+        self.isolated[index] = True
         self._good = [0] * len(self._good)
+        self._scale[len(self._sets) :] = 0.0  # no candidate goes on: they too may have seen it
 
-    def _readmit(self, present: Sequence[Measurement | None], verdicts: Sequence[Verdict | None]) -> None:
+    def _readmit(self) -> None:
         """Step the candidates of isolated aids."""
-        master = self._masters[self._all]
         for i, isolated in enumerate(self.isolated):
-            verdict = verdicts[i]
-            if not isolated or verdict is None:
+            heard, slot = self._heard[i], self._slot[i]
+            if not isolated or heard is None:
                 continue
-            if not verdict.passed:
-                self._candidate[i], self._good[i] = None, 0
-                continue
-            candidate = self._candidate[i]
-            if candidate is None:  # the master as it is now; from the next epoch on the aid makes the difference
-                self._candidate[i], self._good[i] = master.copy(), 0
-                continue
-            for j, (measurement, other) in enumerate(zip(present, verdicts, strict=True)):
-                if measurement is not None and other is not None and (other.fused or j == i):
-                    candidate.update(measurement)
-            self._good[i] += 1
-            if self._good[i] >= self.settings.readmit_after:
-                found = self._against(candidate, master, self.settings.readmit_p, self.settings.rows)
-                if found.dof and not found.alarm:
-                    self.isolated[i] = False
-                self._candidate[i], self._good[i] = None, 0
+            if not heard:
+                self._scale[slot], self._good[i] = 0.0, 0
+            elif not self._scale[slot]:  # the master as it is now; from the next measurement on the aid makes the difference
+                self._stack.copy(0, slot)
+                self._scale[slot], self._good[i] = 1.0, 0
+            else:
+                self._good[i] += 1
+                if self._good[i] >= self.settings.readmit_after:
+                    found = self._against(slot, 0, self._position)
+                    self.isolated[i] = not found.dof or found.alarm(self.settings.readmit_false_alarm_probability)
+                    self._scale[slot], self._good[i] = 0.0, 0

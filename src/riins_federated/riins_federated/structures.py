@@ -1,6 +1,6 @@
 """Structures of a federated filter behind one interface, for any linear(ized) model: fusion-reset, partial feedback, no-reset.
 
-Lives here: `Structure`, what it shares (gates, adaptive noise), and `FederatedFilter`, whose retention makes it any of the three.
+Lives here: `Structure`, what all share (gates, adaptive noise), and `FederatedFilter`, whose retention makes it any of the three.
 Does not live here: the information form with leave-one-out masters (separated_masters.py), shares (information_sharing.py), any navigation.
 """
 
@@ -9,18 +9,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from riins_core.jit import jit
-from riins_core.kalman import cholesky_into, predict_into, update_joseph
+from riins_fdi.eraim import protection_levels, quantiles
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.innovation_tests import InnovationTest
 
 from .adaptive_noise import AdaptiveNoise
 from .aiding import Measurement
 from .information_sharing import checked_shares, equal_shares, innovation_shares, trace_shares
+from .stacked import Estimate, Innovations, Rows, Stack
 from .types import Array
 
 
@@ -28,7 +28,7 @@ class Verdict(NamedTuple):
     """What became of one measurement."""
 
     statistic: float
-    """NIS against the filter that judges"""
+    """NIS against the filter that judges; the larger one where two do"""
     threshold: float
     """infinite without a gate"""
     passed: bool
@@ -36,11 +36,50 @@ class Verdict(NamedTuple):
     fused: bool
     held: bool
     """left out only since the further test has alarmed lately"""
+    alarm: bool
+    """the further test has alarmed on it"""
+    measurement: Measurement
+    """with the noise by which it is weighted"""
+    innovation: Array
+    """(m,) against the filter that judges; against the one that rejects it where two do"""
+    sigma: Array
+    standardized: Array
+    information: Array
+    """(2,), trace of its information on position and velocity"""
+
+
+class Layout(NamedTuple):
+    """Which states are what.
+
+    position: north and east, m. navigation: states whose separation is tested beside the position, as position, velocity and attitude: they tell
+    which aid it is, and find it sooner; none: the position alone. heading: rad; None: there is none
+    """
+
+    position: tuple[int, int] = (0, 1)
+    navigation: tuple[int, ...] = ()
+    heading: int | None = None
+
+
+class Replaced(NamedTuple):
+    """What an aid had put in has been taken out of the master."""
+
+    index: int
+    statistic: float
+    threshold: float
+    jump: Array
+    """(n,), by which the estimate has changed"""
+
+
+class Watched(NamedTuple):
+    """Separation of an aid's leave-one-out master from the master: of the two statistics the one nearer to its threshold; 0 where none is."""
+
+    statistic: float
+    threshold: float
 
 
 @dataclass(frozen=True)
 class Gate:
-    """How measurements are judged.
+    """How the measurements of one aid are judged.
 
     Attributes
     ----------
@@ -54,89 +93,86 @@ class Gate:
     hold: int = 30
 
 
-@jit
-def innovation_into(x: Array, P: Array, z: Array, H: Array, R: Array, standardized: Array) -> float:
-    """Kernel: standardized innovation (m,) written, NIS returned; infinite where its covariance is not positive definite or z not finite."""
-    n, m = x.shape[0], z.shape[0]
-    S = np.empty((m, m))
-    for a in range(m):
-        for b in range(a + 1):
-            s = 0.5 * (R[a, b] + R[b, a])
-            for i in range(n):
-                if H[a, i] != 0.0:
-                    for j in range(n):
-                        s += H[a, i] * P[i, j] * H[b, j]
-            S[a, b] = s
-            S[b, a] = s
-    L = np.zeros((m, m))
-    for a in range(m):
-        standardized[a] = np.inf
-    if not cholesky_into(S, L):
-        return np.inf
-    nis = 0.0
-    for a in range(m):
-        s = z[a]
-        for i in range(n):
-            s -= H[a, i] * x[i]
-        for b in range(a):
-            s -= L[a, b] * standardized[b]
-        standardized[a] = s / L[a, a]
-        nis += standardized[a] ** 2
-    return nis if nis < np.inf else np.inf  # not a number is infinite too
-
-
-class Estimate:
-    """State and covariance of one Kalman filter, changed in place by kernels. x: (n,), P: (n, n)."""
-
-    __slots__ = ("P", "x")
-
-    def __init__(self, x: Array, P: Array) -> None:
-        self.x, self.P = np.array(x, dtype=np.float64), np.array(P, dtype=np.float64)
-
-    def predict(self, Phi: Array, Qd: Array) -> None:
-        """Time update."""
-        predict_into(self.x, self.P, Phi, Qd)
-
-    def nis(self, measurement: Measurement) -> tuple[float, Array]:
-        """NIS and standardized innovation of a measurement that is not applied."""
-        standardized = np.empty(len(measurement.z))
-        return innovation_into(self.x, self.P, measurement.z, measurement.H, measurement.R, standardized), standardized
-
-    def update(self, measurement: Measurement) -> None:
-        """Measurement update."""
-        m = len(measurement.z)
-        update_joseph(self.x, self.P, measurement.z, measurement.H, measurement.R, np.empty(m), np.empty((m, m)), np.empty(m))
-
-    def copy(self) -> Estimate:
-        """A copy that goes on independently."""
-        return Estimate(self.x, self.P)
+_GATE, _LAYOUT = Gate(), Layout()
 
 
 class Structure:
-    """What all structures share. One epoch: predict, judge every aid against the prediction, fuse those that pass.
+    """What all structures share.
 
     Parameters
     ----------
+    x0, P0 : (n,), (n, n)
+    filters : filters in the stack
     n_aids : aids, in a fixed order
-    gate : how they are judged
-    adaptive : scale each aid's noise by what its innovations show
+    layout : which states are what
+    gate : how they are judged; one for all, or one for each
+    adaptive : scale the noise of an aid by what its innovations show; one for all, or one for each
+
+    Notes
+    -----
+    One epoch is `predict`, then `judge` and `take` for each measurement, then `close`; `epoch` does all of it. `add` takes what all believe.
     """
 
-    def __init__(self, n_aids: int, gate: Gate, adaptive: bool) -> None:
-        self.gate = gate
+    def __init__(
+        self, x0: Array, P0: Array, filters: int, n_aids: int, layout: Layout, gate: Gate | Sequence[Gate], adaptive: bool | Sequence[bool]
+    ) -> None:
+        self.layout = layout
+        self.gates = [gate] * n_aids if isinstance(gate, Gate) else list(gate)
+        self._stack = Stack(x0, P0, filters)
         self._tests: list[InnovationTest | None] = [None] * n_aids
         self._held = [0] * n_aids
-        self._noise = [AdaptiveNoise() for _ in range(n_aids)] if adaptive else None
+        wanted = [adaptive] * n_aids if isinstance(adaptive, bool) else adaptive
+        self._noise = [AdaptiveNoise() if one else None for one in wanted]
+        self.beta: Array = equal_shares(n_aids)
 
     @property
     def x(self) -> Array:
-        """Fused state (n,)."""
-        raise NotImplementedError
+        """Fused state (n,), a view."""
+        return self._stack.X[0]
 
     @property
     def P(self) -> Array:
-        """Its covariance (n, n)."""
+        """Its covariance (n, n), a view."""
+        return self._stack.P[0]
+
+    def predict(self, Phi: Array, Qd: Array) -> None:
+        """Advance by one interval with transition and process noise (n, n)."""
         raise NotImplementedError
+
+    def judge(self, index: int, measurement: Measurement) -> Verdict:
+        """Judge a measurement of aid `index` against the state as it is; nothing is fused."""
+        noise = self._noise[index]
+        z, H, R = contiguous(measurement)
+        used = Measurement(z, H, R) if noise is None else noise.scaled(Measurement(z, H, R))
+        found = self._stack.judge(self._judges(index), used.z, used.H, used.R)
+        gate = self.gates[index]
+        threshold = np.inf if gate.pfa is None else nis_threshold(gate.pfa, len(z))
+        statistic, by = float(found.nis[0]), 0
+        for other in range(1, len(found.nis)):
+            if found.nis[other] > statistic:
+                statistic, by = float(found.nis[other]), other
+        if found.nis[0] > threshold or not statistic > threshold:
+            by = 0
+        passed, held, alarm = statistic <= threshold and statistic < np.inf, False, False
+        if noise is not None:
+            noise.learn(found.z[0], R)
+        if gate.test is not None:
+            passed, held, alarm = self._further(index, gate, found, threshold, passed)
+        return Verdict(
+            statistic, threshold, passed, False, held, alarm, used, found.z[by], found.sigma[by], found.standardized[by], found.information
+        )
+
+    def take(self, index: int, verdict: Verdict, use: bool = True) -> bool:
+        """Fuse a measurement that was judged, if it passed and may be used; whether it was."""
+        raise NotImplementedError
+
+    def add(self, measurement: Measurement) -> None:
+        """Fuse what is not an aid's and not judged, such as the known mean height, in every filter that is to know it."""
+        raise NotImplementedError
+
+    def close(self) -> list[Replaced]:
+        """End of the epoch: fuse local filters, look at what the solutions say of each other; aids whose share in the master was taken out."""
+        return []
 
     def epoch(self, Phi: Array, Qd: Array, aids: Sequence[Measurement | None]) -> list[Verdict | None]:
         """Advance to the next epoch and take in what was measured there.
@@ -148,54 +184,93 @@ class Structure:
 
         Returns
         -------
-        one verdict for each measurement; nothing depends on the order of the aids but their numbers
+        one verdict for each measurement, all against the prediction; nothing depends on the order of the aids but their numbers
         """
-        raise NotImplementedError
+        self.predict(Phi, Qd)
+        verdicts: list[Verdict | None] = []
+        for index, measurement in enumerate(aids):
+            if measurement is None:
+                self.gap(index)
+            verdicts.append(None if measurement is None else self.judge(index, measurement))
+        for index, verdict in enumerate(verdicts):
+            if verdict is not None:
+                verdicts[index] = verdict._replace(fused=self.take(index, verdict))
+        self.close()
+        return verdicts
+
+    def gap(self, index: int) -> None:
+        """A measurement of an aid is missing."""
+        noise = self._noise[index]
+        if noise is not None:
+            noise.gap()
+
+    def separated(self, index: int) -> bool:
+        """An aid is kept out since its leave-one-out master took the place of the master."""
+        return False
+
+    def watched(self, index: int) -> Watched:
+        """How far the solution without an aid is from the master."""
+        return Watched(0.0, 0.0)
+
+    def protection(self, integrity_risk: float) -> tuple[float, float]:
+        """Protection level of the horizontal position [m] and of the heading [rad]; here of noise alone, since no solution tells of a fault."""
+        quantile = quantiles(0.5, integrity_risk, 1)[1]
+        heading = -1 if self.layout.heading is None else self.layout.heading
+        level = protection_levels(self._stack.X, self._stack.P, np.empty(0, np.int64), np.array(self.layout.position), heading, quantile, quantile)
+        return float(level[0]), float(level[1])
 
     def shift(self, dx: Array) -> None:
         """Subtract dx (n,): it has been fed back into the nominal state."""
-        raise NotImplementedError
+        self._stack.X -= dx
 
     def clone(self) -> Structure:
         """A copy that goes on independently."""
         other = copy.copy(self)
-        other._tests = [test.clone() if test else None for test in self._tests]
-        other._held = self._held.copy()
-        other._noise = [noise.clone() for noise in self._noise] if self._noise else None
+        other._stack = copy.copy(self._stack)
+        other._stack.X, other._stack.P = self._stack.X.copy(), self._stack.P.copy()
+        other.restore(self.snapshot())
         return other
 
-    def _present(self, aids: Sequence[Measurement | None]) -> list[Measurement | None]:
-        if self._noise is None:
-            return list(aids)
-        present: list[Measurement | None] = []
-        for noise, measurement in zip(self._noise, aids, strict=True):
-            if measurement is None:
-                noise.gap()
-            present.append(None if measurement is None else noise.scaled(measurement))
-        return present
+    def snapshot(self) -> tuple[Any, ...]:
+        """All that `restore` needs."""
+        tests = tuple(test.clone() if test else None for test in self._tests)
+        return self._stack.snapshot(), tests, tuple(self._held), tuple(noise.clone() if noise else None for noise in self._noise), self.beta
 
-    def _threshold(self, measurement: Measurement) -> float:
-        return np.inf if self.gate.pfa is None else nis_threshold(self.gate.pfa, len(measurement.z))
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """Go back to a snapshot, which stays usable."""
+        stack, tests, held, noise, self.beta = snapshot
+        self._stack.restore(stack)
+        self._tests = [test.clone() if test else None for test in tests]
+        self._held = list(held)
+        self._noise = [one.clone() if one else None for one in noise]
 
-    def _judge(self, index: int, reported: Measurement, measurement: Measurement, by: Estimate) -> tuple[float, float, bool, bool]:
-        """NIS, threshold, whether both tests pass, and whether it is only held."""
-        statistic, standardized = by.nis(measurement)
-        threshold = self._threshold(measurement)
-        passed, held = statistic <= threshold and statistic < np.inf, False
-        if self._noise is not None:
-            self._noise[index].learn(measurement.z - measurement.H @ by.x, reported.R)
-        if self.gate.test is not None:
-            test = self._tests[index]
-            if test is None:
-                test = self._tests[index] = self.gate.test(len(measurement.z))
-            if self._held[index]:
-                self._held[index] -= 1
-                passed, held = False, passed
-            elif test.step(standardized).alarm:
-                self._held[index] = self.gate.hold
-                test.reset()
-                passed = False
-        return statistic, threshold, passed, held
+    def _judges(self, index: int) -> Rows:
+        """Filters that a measurement of an aid is judged by, the one whose word is reported first."""
+        raise NotImplementedError
+
+    def _further(self, index: int, gate: Gate, found: Innovations, threshold: float, passed: bool) -> tuple[bool, bool, bool]:
+        """Whether it passes the further test as well, is only held, or alarms."""
+        test = self._tests[index]
+        if test is None and gate.test is not None:
+            test = self._tests[index] = gate.test(found.z.shape[1])
+        assert test is not None
+        if self._held[index]:
+            self._held[index] -= 1
+            return False, passed, False
+        if test.step(found.standardized[0]).alarm:
+            self._held[index] = gate.hold
+            test.reset()
+            return False, False, bool(found.nis[0] <= threshold)
+        return passed, False, False
+
+
+def contiguous(measurement: Measurement) -> tuple[Array, Array, Array]:
+    """z, H, R as the kernels take them."""
+    return (
+        np.ascontiguousarray(measurement.z, dtype=np.float64),
+        np.ascontiguousarray(measurement.H, dtype=np.float64),
+        np.ascontiguousarray(measurement.R, dtype=np.float64),
+    )
 
 
 class FederatedFilter(Structure):
@@ -207,9 +282,10 @@ class FederatedFilter(Structure):
     n_aids : local filters
     retention : alpha of 002 figure 4. 0: fusion-reset. 1: no-reset. Between: after each fusion a local filter keeps alpha of its information and
         gets (1 - alpha) beta of the fused one, so that the sum stays what was fused: none is made, none lost
-    beta : (n_aids,), shares; None: equal
+    beta : (n_aids,), shares; None: equal. With `common` (n_aids + 1,)
     sharing : "fixed", "trace" or "innovation": the last two change the shares at every fusion
-    gate, adaptive : as in `Structure`
+    common : one more local filter, for what is not an aid's
+    layout, gate, adaptive : as in `Structure`
 
     Notes
     -----
@@ -219,83 +295,97 @@ class FederatedFilter(Structure):
     """
 
     def __init__(
-        self, x0: Array, P0: Array, n_aids: int, *, retention: float = 0.0, beta: Array | None = None, sharing: str = "fixed",
-        gate: Gate = Gate(), adaptive: bool = False,
+        self, x0: Array, P0: Array, n_aids: int, *, retention: float = 0.0, beta: Array | None = None, sharing: str = "fixed", common: bool = False,
+        layout: Layout = _LAYOUT, gate: Gate | Sequence[Gate] = _GATE, adaptive: bool | Sequence[bool] = False,
     ) -> None:  # fmt: skip
-        super().__init__(n_aids, gate, adaptive)
+        locals_ = n_aids + common
+        super().__init__(x0, P0, locals_ + 1, n_aids, layout, gate, adaptive)
         if not 0.0 <= retention <= 1.0:
             raise ValueError(f"the retention must be in [0, 1], not {retention}")
         if sharing not in ("fixed", "trace", "innovation"):
             raise ValueError(f"the sharing must be fixed, trace or innovation, not {sharing!r}")
         self.retention, self.sharing = retention, sharing
-        self.beta = equal_shares(n_aids) if beta is None else checked_shares(beta)
-        self._fused = Estimate(x0, P0)
-        self._local = [Estimate(x0, P0 / share) for share in self.beta]
-        self._traces = np.ones((2, n_aids))  # of the innovations: expected, found
+        self.beta = equal_shares(locals_) if beta is None else checked_shares(beta)
+        if len(self.beta) != locals_:
+            raise ValueError(f"{locals_} local filters need as many shares, not {len(self.beta)}")
+        self._stack.P[1:] /= self.beta[:, None, None]
+        self._traces = np.ones((2, locals_))  # of the innovations: expected, found
+        self._news = False
 
     @property
-    def x(self) -> Array:
-        """Fused state (n,)."""
-        return self._fused.x
+    def local(self) -> list[Estimate]:
+        """The local filters."""
+        return [self._stack[1 + i] for i in range(len(self.beta))]
 
-    @property
-    def P(self) -> Array:
-        """Its covariance (n, n)."""
-        return self._fused.P
-
-    def epoch(self, Phi: Array, Qd: Array, aids: Sequence[Measurement | None]) -> list[Verdict | None]:
-        """As in `Structure`. Judged by the fused prediction in fusion-reset, by the local filter's own otherwise."""
-        for local, share in zip(self._local, self.beta, strict=True):
-            local.predict(Phi, Qd / share)
-        self._fused.predict(Phi, Qd)
-        verdicts: list[Verdict | None] = []
-        for i, (reported, measurement) in enumerate(zip(aids, self._present(aids), strict=True)):
-            if reported is None or measurement is None:
-                verdicts.append(None)
-                continue
-            statistic, threshold, passed, held = self._judge(i, reported, measurement, self._local[i] if self.retention else self._fused)
-            self._count(i, measurement)
-            if passed:
-                self._local[i].update(measurement)
-            verdicts.append(Verdict(statistic, threshold, passed, passed, held))
-        if self.retention or any(verdict and verdict.fused for verdict in verdicts):
-            self._fuse()
-        return verdicts
-
-    def shift(self, dx: Array) -> None:
+    def predict(self, Phi: Array, Qd: Array) -> None:
         """As in `Structure`."""
-        for one in (self._fused, *self._local):
-            one.x -= dx
+        self._stack.predict(Phi, Qd, np.append(1.0, 1.0 / self.beta))
+
+    def take(self, index: int, verdict: Verdict, use: bool = True) -> bool:
+        """As in `Structure`; into the local filter of the aid."""
+        self._count(index, verdict.measurement)
+        if not (use and verdict.passed):
+            return False
+        self._into(index, verdict.measurement)
+        return True
+
+    def add(self, measurement: Measurement) -> None:
+        """As in `Structure`; into the local filter for it."""
+        if len(self.beta) == len(self.gates):
+            raise ValueError("there is no local filter for what is not an aid's")
+        self._into(len(self.gates), Measurement(*contiguous(measurement)))
+
+    def close(self) -> list[Replaced]:
+        """As in `Structure`."""
+        if self.retention or self._news:
+            self._fuse()
+        return []
 
     def clone(self) -> FederatedFilter:
         """As in `Structure`."""
         other = super().clone()
         assert isinstance(other, FederatedFilter)
-        other._fused = self._fused.copy()
-        other._local = [local.copy() for local in self._local]
-        other.beta, other._traces = self.beta.copy(), self._traces.copy()
         return other
 
+    def snapshot(self) -> tuple[Any, ...]:
+        """As in `Structure`."""
+        return super().snapshot(), self._traces.copy()
+
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
+        """As in `Structure`."""
+        common, traces = snapshot
+        super().restore(common)
+        self._traces = traces.copy()
+
+    def _judges(self, index: int) -> Rows:
+        """The fused filter in fusion-reset, the local filter of the aid otherwise."""
+        return np.array([1 + index if self.retention else 0])
+
+    def _into(self, index: int, measurement: Measurement) -> None:
+        self._stack.update(np.array([1 + index]), measurement.z, measurement.H, measurement.R)
+        self._news = True
+
     def _fuse(self) -> None:
-        n = len(self.x)
-        scale = np.sqrt(np.diag(self._fused.P))  # states differ by many powers of ten: unit diagonal; a state without variance stays as it is
+        self._news = False
+        X, P = self._stack.X, self._stack.P
+        scale = np.sqrt(np.diag(P[0]))  # states differ by many powers of ten: unit diagonal; a state without variance stays as it is
         on = np.flatnonzero(scale > 0.0)
         cut, scale = np.ix_(on, on), scale[on]
-        informations = [np.linalg.inv(local.P[cut] / np.outer(scale, scale)) for local in self._local]
-        vectors = [Y @ (local.x[on] / scale) for Y, local in zip(informations, self._local, strict=True)]
+        informations = [np.linalg.inv(one.P[cut] / np.outer(scale, scale)) for one in self.local]
+        vectors = [Y @ (one.x[on] / scale) for Y, one in zip(informations, self.local, strict=True)]
         Y, y = np.sum(informations, axis=0), np.sum(vectors, axis=0)
-        P = np.linalg.inv(Y)
-        self._fused.P[:] = 0.0
-        self._fused.P[cut] = 0.5 * (P + P.T) * np.outer(scale, scale)
-        self._fused.x = np.zeros(n)
-        self._fused.x[on] = P @ y * scale
+        fused = np.linalg.inv(Y)
+        P[0] = 0.0
+        P[0][cut] = 0.5 * (fused + fused.T) * np.outer(scale, scale)
+        X[0] = 0.0
+        X[0, on] = fused @ y * scale
         if self.sharing == "trace":
             self.beta = trace_shares([np.linalg.inv(one) for one in informations])
         elif self.sharing == "innovation":
             self.beta = innovation_shares(*self._traces)
-        for i, local in enumerate(self._local):
+        for i, local in enumerate(self.local):
             if self.retention == 0.0:
-                local.x, local.P = self._fused.x.copy(), self._fused.P / self.beta[i]
+                local.x[:], local.P[:] = X[0], P[0] / self.beta[i]
             elif self.retention < 1.0:
                 share = (1.0 - self.retention) * self.beta[i]
                 kept = np.linalg.inv(self.retention * informations[i] + share * Y)
@@ -305,7 +395,7 @@ class FederatedFilter(Structure):
     def _count(self, index: int, measurement: Measurement) -> None:
         """Traces of the innovation covariance, expected and found, over the last twenty epochs or so."""
         if self.sharing == "innovation":
-            innovation = measurement.z - measurement.H @ self._fused.x
+            innovation = measurement.z - measurement.H @ self.x
             unit = np.trace(measurement.R)
-            expected = np.trace(measurement.H @ self._fused.P @ measurement.H.T) / unit + 1.0
+            expected = np.trace(measurement.H @ self.P @ measurement.H.T) / unit + 1.0
             self._traces[:, index] += 0.05 * (np.array([expected, min(float(innovation @ innovation) / unit, 1e6)]) - self._traces[:, index])

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from riins_federated.adaptive_noise import AdaptiveNoise
 from riins_federated.aiding import Measurement
 from riins_federated.information_sharing import checked_shares, innovation_shares, trace_shares
-from riins_federated.separated_masters import SeparatedMasters, SeparationSettings
-from riins_federated.structures import FederatedFilter, Gate, Structure
+from riins_federated.separated_masters import SeparatedMasters
+from riins_federated.structure_settings import SolutionSeparation
+from riins_federated.structures import FederatedFilter, Gate, Layout, Structure
 
 OPEN = Gate(pfa=None)
 N, AIDS = 5, 3
@@ -52,7 +53,7 @@ def run(structure: Structure, aids: list, without: int | None = None) -> np.ndar
 
 def centralized(gate: Gate = OPEN, **more) -> SeparatedMasters:
     """The information form alone."""
-    return SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=0), gate=gate, **more)
+    return SeparatedMasters(np.zeros(N), P0, AIDS, SolutionSeparation(left_out=0), gate=gate, **more)
 
 
 @settings(max_examples=12, deadline=None)
@@ -74,8 +75,8 @@ def test_partial_feedback_conserves_information(retention: float, seed: int) -> 
     _, aids = voyage(seed, 10)
     federated = FederatedFilter(np.zeros(N), P0, AIDS, retention=retention, gate=OPEN)
     run(federated, aids)
-    total = sum(np.linalg.inv(local.P) for local in federated._local)
-    vector = sum(np.linalg.inv(local.P) @ local.x for local in federated._local)
+    total = sum(np.linalg.inv(local.P) for local in federated.local)
+    vector = sum(np.linalg.inv(local.P) @ local.x for local in federated.local)
     np.testing.assert_allclose(np.linalg.inv(total), federated.P, rtol=1e-7, atol=1e-14)
     np.testing.assert_allclose(federated.P @ vector, federated.x, rtol=0.0, atol=1e-6)
 
@@ -111,8 +112,8 @@ def test_no_reset_is_an_upper_bound_and_loses_little() -> None:
 def test_a_slow_fault_is_isolated_taken_out_and_its_aid_taken_in_again(left_out: int) -> None:
     _, good = voyage(3, 500)
     _, bad = voyage(3, 500, lambda k, aid: (aid == 0 and 100 <= k < 200) * 3.0 * (k - 99))
-    found = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out, navigation=tuple(range(N))))
-    twin = SeparatedMasters(np.zeros(N), P0, AIDS, SeparationSettings(left_out=left_out, navigation=tuple(range(N))))
+    found = SeparatedMasters(np.zeros(N), P0, AIDS, SolutionSeparation(left_out=left_out), layout=Layout(navigation=tuple(range(N))))
+    twin = SeparatedMasters(np.zeros(N), P0, AIDS, SolutionSeparation(left_out=left_out), layout=Layout(navigation=tuple(range(N))))
     gated = centralized(Gate())
     isolated, apart, without = [], [], []
     for good_now, bad_now in zip(good, bad, strict=True):
@@ -132,11 +133,11 @@ def test_a_slow_fault_is_isolated_taken_out_and_its_aid_taken_in_again(left_out:
 def test_the_protection_level_holds() -> None:
     truth, aids = voyage(8, 400)
     masters = SeparatedMasters(np.zeros(N), P0, AIDS)
-    assert masters.protection(1e-5) == np.inf
+    assert masters.protection(1e-5)[0] == pytest.approx(30.0 * np.sqrt(-2.0 * np.log(1e-5)))  # as it begins: of noise alone
     for k, now in enumerate(aids):
         masters.epoch(PHI, QD, now)
-        assert np.linalg.norm(masters.x[:2] - truth[k, :2]) < masters.protection(1e-5)
-    assert masters.protection(1e-5) < 300.0
+        assert np.linalg.norm(masters.x[:2] - truth[k, :2]) < masters.protection(1e-5)[0]
+    assert masters.protection(1e-5)[0] < 300.0
 
 
 def test_noise_that_grows_is_weighted_and_a_fault_is_not_taken_for_noise() -> None:

@@ -22,7 +22,8 @@ from riins_core.sensor_errors import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, MICRO_G,
 from riins_eval.studies.rows import Figure, Progress, Row, row
 from riins_fdi.innovation import nis_threshold
 from riins_federated.aiding import Measurement
-from riins_federated.separated_masters import SeparatedMasters, SeparationSettings
+from riins_federated.separated_masters import SeparatedMasters
+from riins_federated.structure_settings import SolutionSeparation
 from riins_federated.structures import FederatedFilter, Gate, Structure
 
 Array = NDArray[np.float64]
@@ -175,7 +176,7 @@ def fly(seed: int, *, star: bool = True, correlated: bool = False, known: bool =
     if no_reset:
         structure = FederatedFilter(np.zeros(N), P, 3, retention=1.0, gate=Gate(PFA))
     else:
-        structure = SeparatedMasters(np.zeros(N), P, 3, SeparationSettings(left_out=0), gate=Gate(PFA))
+        structure = SeparatedMasters(np.zeros(N), P, 3, SolutionSeparation(left_out=0), gate=Gate(PFA))
     error, nis, rejected = np.empty((SECONDS, 9)), np.full((SECONDS, 3), np.nan), np.zeros((SECONDS, 3), dtype=np.bool_)
     for k in range(SECONDS):
         aids: list[Measurement | None] = []

@@ -20,8 +20,9 @@ from riins_eval.studies.rows import Figure, Progress, Row, row
 from riins_eval.studies.ship_model import BDS, BEGIN, EPOCHS, GPS, SEED_FAULTS, SIGMA, Fault, Model, Voyage, epoch_of, model, voyage
 from riins_fdi.innovation_tests import INNOVATION_TESTS
 from riins_federated.aiding import Measurement
-from riins_federated.separated_masters import SeparatedMasters, SeparationSettings
-from riins_federated.structures import FederatedFilter, Gate, Structure
+from riins_federated.separated_masters import SeparatedMasters
+from riins_federated.structure_settings import SolutionSeparation
+from riins_federated.structures import FederatedFilter, Gate, Layout, Structure
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,8 @@ QUANTITIES = ("position", "velocity", "heading")
 PFA = 1e-5
 INTEGRITY_RISK = 1e-5
 RESETS = (epoch_of(2.0), epoch_of(6.0), epoch_of(10.0))
-ALONE = SeparationSettings(left_out=0)
-SEPARATED = SeparationSettings(navigation=tuple(range(7)))
+ALONE, SEPARATED = SolutionSeparation(left_out=0), SolutionSeparation()
+LAYOUT = Layout(navigation=tuple(range(7)), heading=6)
 GLR = functools.partial(INNOVATION_TESTS["windowed_glr"], epochs=1.0 / PFA, window=30)
 """Over five minutes; its alarm leaves the aid out for as long."""
 GATE, OPEN, TESTED_GATE = Gate(PFA), Gate(pfa=None), Gate(PFA, GLR, 30)
@@ -110,14 +111,14 @@ def fly(
         if isinstance(structure, SeparatedMasters):
             flags[3, k - first] = structure.isolated
             if structure.settings.left_out and k % 6 == 0:
-                level[k - first] = structure.protection(INTEGRITY_RISK)
+                level[k - first] = structure.protection(INTEGRITY_RISK)[0]
     measured, passed, fused, isolated, held = flags
     return Flight(first, error, P, measured, passed, fused, isolated, held, level)
 
 
-def masters(P: Array, gate: Gate = TESTED_GATE, settings: SeparationSettings = SEPARATED, adaptive: bool = False) -> SeparatedMasters:
+def masters(P: Array, gate: Gate = TESTED_GATE, settings: SolutionSeparation = SEPARATED, adaptive: bool = False) -> SeparatedMasters:
     """The information form that begins with covariance P, with the NIS and the windowed GLR as gates."""
-    return SeparatedMasters(np.zeros(len(P)), P, len(SIGMA), settings, gate=gate, adaptive=adaptive)
+    return SeparatedMasters(np.zeros(len(P)), P, len(SIGMA), settings, layout=LAYOUT, gate=gate, adaptive=adaptive)
 
 
 def federated(P: Array, retention: float, gate: Gate = GATE, sharing: str = "fixed", beta: Array | None = None) -> FederatedFilter:
