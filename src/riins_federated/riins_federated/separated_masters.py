@@ -36,6 +36,9 @@ class _Apart(NamedTuple):
         return self.dof > 0 and not self.statistic <= self.threshold(pfa)
 
 
+_SETTINGS, _LAYOUT, _GATE = SolutionSeparation(), Layout(), Gate()
+
+
 class SeparatedMasters(Structure):
     """Subfilters send information increments, in their factors (z, H, R); each master is the exact filter of the aids it takes.
 
@@ -64,8 +67,8 @@ class SeparatedMasters(Structure):
     """
 
     def __init__(
-        self, x0: Array, P0: Array, n_aids: int, settings: SolutionSeparation = SolutionSeparation(), *, layout: Layout = Layout(),
-        gate: Gate | Sequence[Gate] = Gate(), adaptive: bool | Sequence[bool] = False,
+        self, x0: Array, P0: Array, n_aids: int, settings: SolutionSeparation = _SETTINGS, *, layout: Layout = _LAYOUT,
+        gate: Gate | Sequence[Gate] = _GATE, adaptive: bool | Sequence[bool] = False,
     ) -> None:  # fmt: skip
         self.settings = settings
         everything = (1 << n_aids) - 1

@@ -18,8 +18,9 @@ from riins_eval.studies.rows import Figure, Progress, Row, row
 from riins_eval.studies.vehicle_model import ALTIMETER, GNSS, NAMES, ODOMETER, SECONDS, Drive, Fault, drive, judge, model
 from riins_fdi.innovation import nis_threshold
 from riins_fdi.innovation_tests import INNOVATION_TESTS, InnovationTest
-from riins_federated.separated_masters import SeparatedMasters, SeparationSettings
-from riins_federated.structures import FederatedFilter, Gate, Structure
+from riins_federated.separated_masters import SeparatedMasters
+from riins_federated.structure_settings import SolutionSeparation
+from riins_federated.structures import FederatedFilter, Gate, Layout, Structure
 
 Array = NDArray[np.float64]
 
@@ -107,8 +108,8 @@ def federated(retention: float, sharing: str = "fixed", gate: Gate = Gate(pfa=No
 def information(gate: Gate = Gate(pfa=None), left_out: int = 0, adaptive: bool = False) -> SeparatedMasters:  # noqa: B008
     """The information form at the start of the drive."""
     P = model().P
-    settings = SeparationSettings(left_out=left_out, navigation=tuple(range(9)) if left_out else ())
-    return SeparatedMasters(np.zeros(len(P)), P, len(NAMES), settings, gate=gate, adaptive=adaptive)
+    settings, layout = SolutionSeparation(left_out=left_out), Layout(navigation=tuple(range(9)))
+    return SeparatedMasters(np.zeros(len(P)), P, len(NAMES), settings, layout=layout, gate=gate, adaptive=adaptive)
 
 
 def _tested(name: str) -> Gate:
