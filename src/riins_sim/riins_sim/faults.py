@@ -16,26 +16,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.noise import normal
-from riins_core.sensor_errors import ARCMIN, DEG, DEG_PER_H, KNOT, MICRO_G, PPM
+from riins_core.sensor_errors import ARCMIN, ARCSEC, DEG, DEG_PER_H, KNOT, MICRO_G, PPM
 from riins_core.settings import SettingError, nearest, setting
 
 Array = NDArray[np.float64]
 
-AIDS = ("gps", "bds", "doppler")
+AIDS = ("gps", "bds", "doppler", "odometer", "altimeter", "star_tracker")
 POSITION_AXES = ("north", "east", "down")
 VELOCITY_AXES = ("forward", "starboard", "down")
 
+_KINDS = dict(zip(AIDS, ("position", "position", "velocity", "speed", "height", "attitude"), strict=True))
+_AXES = {  # of the values, by kind
+    "position": POSITION_AXES,
+    "velocity": VELOCITY_AXES,
+    "speed": ("forward",),
+    "height": ("up",),
+    "attitude": ("roll", "pitch", "heading"),
+}
+_ALL = {"position": 2, "velocity": 2, "speed": 1, "height": 1, "attitude": 3}
+"""How many of them, from the first, "all" means for a fault that changes a value."""
 _SIZES: dict[str, dict[str, float]] = {  # SI of one unit, by kind of sensor
     "gyro": {"size_deg_h": DEG_PER_H, "size_deg_s": DEG, "size_rad_s": 1.0},
     "accel": {"size_ug": MICRO_G, "size_mg": 1e3 * MICRO_G, "size_mps2": 1.0},
     "position": {"size_m": 1.0, "size_arcmin": ARCMIN},
     "velocity": {"size_kn": KNOT, "size_mps": 1.0},
+    "speed": {"size_kn": KNOT, "size_mps": 1.0},
+    "height": {"size_m": 1.0},
+    "attitude": {"size_arcsec": ARCSEC, "size_arcmin": ARCMIN, "size_deg": DEG},
 }
 _SLOPES: dict[str, dict[str, float]] = {
     "gyro": {"slope_deg_h_s": DEG_PER_H, "slope_rad_s2": 1.0},
     "accel": {"slope_ug_s": MICRO_G, "slope_mps3": 1.0},
     "position": {"slope_mps": 1.0},
     "velocity": {"slope_kn_s": KNOT, "slope_mps2": 1.0},
+    "speed": {"slope_kn_s": KNOT, "slope_mps2": 1.0},
+    "height": {"slope_mps": 1.0},
+    "attitude": {"slope_arcsec_s": ARCSEC, "slope_deg_s": DEG},
 }
 _SCALES = {"size_percent": 0.01, "size_ppm": PPM}
 
@@ -70,11 +86,11 @@ class Fault:
 
     Attributes
     ----------
-    target : gyro_0.., accel_0.., gps, bds, doppler
+    target : gyro_0.., accel_0.., or one of AIDS
     type : FaultType
-    size : rad/s, m/s^2, m, m/s; rad for `angular`; sigma of NOISE; dimensionless for SCALE
+    size : rad/s, m/s^2, m, m/s, rad; rad for `angular`; sigma of NOISE; dimensionless for SCALE
     slope : size per second, RAMP only (size is then its value at the start)
-    axis : aids: north, east, down, forward, starboard, or all (both horizontal ones)
+    axis : aids: north, east, down, forward, starboard, up, roll, pitch, heading, or all (both horizontal ones, or all there are)
     start_ns, end_ns : in force from start (inclusive) to end (exclusive); None: until cleared
     angular : size is an angle of latitude and of longitude
     """
@@ -90,11 +106,11 @@ class Fault:
 
     def __post_init__(self) -> None:
         kind = kind_of(self.target)
-        axes = ("all",) if kind in ("gyro", "accel") else ("all", *(POSITION_AXES if kind == "position" else VELOCITY_AXES))
+        axes = ("all", *_AXES.get(kind, ()))
         if self.axis not in axes:
             raise SettingError(f'"axis" of a fault on {self.target} must be one of {", ".join(axes)}, not {self.axis!r}', ("axis",))
-        if self.type == FaultType.SCALE and kind == "position":
-            raise SettingError(f"a scale fault has no meaning for the position of {self.target}", ("type",))
+        if self.type == FaultType.SCALE and kind in ("position", "height", "attitude"):
+            raise SettingError(f"a scale fault has no meaning for the {kind} of {self.target}", ("type",))
         if self.angular and self.axis == "down":
             raise SettingError("an angle has no meaning for the height", ("axis",))
         if not (math.isfinite(self.size) and math.isfinite(self.slope)):
@@ -110,7 +126,7 @@ class Fault:
 
 
 def kind_of(target: str) -> str:
-    """Kind of a target: gyro, accel, position or velocity.
+    """Kind of a target: gyro, accel, position, velocity, speed, height or attitude.
 
     Raises
     ------
@@ -120,40 +136,47 @@ def kind_of(target: str) -> str:
     word, _, number = target.partition("_")
     if word in ("gyro", "accel") and number.isascii() and number.isdecimal() and int(number) < 64:
         return word
-    if target in AIDS:
-        return "velocity" if target == "doppler" else "position"
+    if target in _KINDS:
+        return _KINDS[target]
     known = [*AIDS, *(f"{w}_{i}" for w in ("gyro", "accel") for i in range(6))]
-    raise SettingError(f'"target" must be gyro_N, accel_N (N from 0), gps, bds or doppler, not {target!r}{nearest(target, known)}', ("target",))
+    raise SettingError(f'"target" must be gyro_N, accel_N (N from 0), {", ".join(AIDS)}, not {target!r}{nearest(target, known)}', ("target",))
 
 
 @dataclass(frozen=True)
 class FaultSettings:
     """A fault as a scenario writes it: the unit stands in the key of its size and slope."""
 
-    target: str = setting(doc="sensor: gyro_0.., accel_0.., gps, bds, doppler")
+    target: str = setting(doc="sensor: gyro_0.., accel_0.., or an aid")
     type: str = setting(doc="what the fault does", choices=("step", "ramp", "stuck", "noise", "scale", "dropout"))
     start_s: float = setting(doc="onset since the start", unit="s", low=0.0)
     end_s: float | None = setting(None, "end since the start; not given: to the end of the voyage", "s", low=0.0)
-    axis: str = setting("all", "aids: which component; all: both horizontal ones", choices=("all", "north", "east", "down", "forward", "starboard"))
+    axis: str = setting(
+        "all", "aids: which component; all: both horizontal ones, of one speed, a height or an attitude what there is",
+        choices=("all", "north", "east", "down", "forward", "starboard", "up", "roll", "pitch", "heading"),
+    )  # fmt: skip
     size_deg_h: float | None = setting(None, "gyro: step, sigma of noise, or ramp at its start", "deg/h")
     size_deg_s: float | None = setting(None, "gyro", "deg/s")
     size_rad_s: float | None = setting(None, "gyro", "rad/s")
     size_ug: float | None = setting(None, "accelerometer", "ug")
     size_mg: float | None = setting(None, "accelerometer", "mg")
     size_mps2: float | None = setting(None, "accelerometer", "m/s^2")
-    size_m: float | None = setting(None, "gps, bds", "m")
-    size_arcmin: float | None = setting(None, "gps, bds: angle of latitude and of longitude", "arcmin")
-    size_kn: float | None = setting(None, "doppler", "kn")
-    size_mps: float | None = setting(None, "doppler", "m/s")
+    size_m: float | None = setting(None, "gps, bds, altimeter", "m")
+    size_arcsec: float | None = setting(None, "star_tracker", "arcsec")
+    size_arcmin: float | None = setting(None, "star_tracker; gps, bds: angle of latitude and of longitude", "arcmin")
+    size_deg: float | None = setting(None, "star_tracker", "deg")
+    size_kn: float | None = setting(None, "doppler, odometer", "kn")
+    size_mps: float | None = setting(None, "doppler, odometer", "m/s")
     size_percent: float | None = setting(None, "scale fault", "%")
     size_ppm: float | None = setting(None, "scale fault", "ppm")
     slope_deg_h_s: float | None = setting(None, "gyro ramp", "deg/h per s")
     slope_rad_s2: float | None = setting(None, "gyro ramp", "rad/s^2")
     slope_ug_s: float | None = setting(None, "accelerometer ramp", "ug/s")
     slope_mps3: float | None = setting(None, "accelerometer ramp", "m/s^3")
-    slope_mps: float | None = setting(None, "gps, bds ramp", "m/s")
-    slope_kn_s: float | None = setting(None, "doppler ramp", "kn/s")
-    slope_mps2: float | None = setting(None, "doppler ramp", "m/s^2")
+    slope_mps: float | None = setting(None, "gps, bds, altimeter ramp", "m/s")
+    slope_arcsec_s: float | None = setting(None, "star_tracker ramp", "arcsec/s")
+    slope_deg_s: float | None = setting(None, "star_tracker ramp", "deg/s")
+    slope_kn_s: float | None = setting(None, "doppler, odometer ramp", "kn/s")
+    slope_mps2: float | None = setting(None, "doppler, odometer ramp", "m/s^2")
 
     def __post_init__(self) -> None:
         self.fault()
@@ -171,7 +194,7 @@ class FaultSettings:
         wants_size = shape in (FaultType.STEP, FaultType.NOISE, FaultType.SCALE)
         slope, slope_key = self._one("slope_", _SLOPES[kind] if shape == FaultType.RAMP else {}, shape == FaultType.RAMP)
         size, size_key = self._one("size_", sizes if wants_size or shape == FaultType.RAMP else {}, wants_size)
-        angular = size_key == "size_arcmin"
+        angular = kind == "position" and size_key == "size_arcmin"
         if angular and slope_key:
             raise SettingError("a ramp in m/s starts from a size in m (size_m)", (size_key,))
         end = None if self.end_s is None else round(self.end_s * 1e9)
@@ -264,10 +287,11 @@ class FaultSchedule:
 
         Parameters
         ----------
-        name : gps, bds (values are latitude, longitude, height) or doppler (velocity forward, starboard, down)
+        name : gps, bds (values are latitude, longitude, height), doppler (velocity forward, starboard, down), odometer (speed forward first),
+            altimeter (height) or star_tracker (roll, pitch, heading)
         stamp_ns, k0, before : as in `apply_axes`
-        values : (m, 3), changed in place
-        per_metre : (m, 3), latitude, longitude [rad] and height [m] of one metre north, east, down; None for velocities
+        values : (m, n), changed in place
+        per_metre : (m, 3), latitude, longitude [rad] and height [m] of one metre north, east, down; None for what is no position
 
         Returns
         -------
@@ -333,7 +357,7 @@ class FaultSchedule:
 
 
 def _columns(fault: Fault) -> list[int]:
-    if fault.axis == "all":
-        return [0, 1, 2] if fault.type in (FaultType.STUCK, FaultType.DROPOUT) else [0, 1]
-    axes = VELOCITY_AXES if fault.target == "doppler" else POSITION_AXES
-    return [axes.index(fault.axis)]
+    kind = kind_of(fault.target)
+    if fault.axis != "all":
+        return [_AXES[kind].index(fault.axis)]
+    return list(range(len(_AXES[kind]) if fault.type in (FaultType.STUCK, FaultType.DROPOUT) else _ALL[kind]))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from riins_core.earth import E2, OMEGA_IE, gravity_s, radii_s
 from riins_core.jit import jit
 
-from .course import course_at
+from .course import climb_at, course_at
 from .vessel import motion
 
 Array = NDArray[np.float64]
@@ -28,8 +28,9 @@ _WEIGHT = (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0)
 
 @jit
 def _path_rates(t: float, lat: float, h: float, course: Array) -> tuple[float, float, float, float]:
-    """Derivatives of latitude, longitude [rad/s], north and east way [m/s] of the ship without waves."""
+    """Derivatives of latitude, longitude [rad/s], north and east way [m/s] of the ship without waves; h is the height at the start."""
     heading, _, _, _, speed, _ = course_at(t, course)
+    h += climb_at(t, course)[0]
     r_m, r_n = radii_s(lat)
     north, east = speed * math.cos(heading), speed * math.sin(heading)
     return north / (r_m + h), east / ((r_n + h) * math.cos(lat)), north, east
@@ -88,6 +89,8 @@ def _knot(p: int, length: float, h0: float, path: Array, course: Array, waves: A
     """Coordinates at panel end p: latitude, longitude beyond `path` [rad], height [m], roll, pitch, heading [rad]; value, two derivatives."""
     t = p * length
     heading, r, r1, r2, speed, acceleration = course_at(t, course)
+    gained, up, up1, up2 = climb_at(t, course)
+    h = h0 + gained
     ch, sh = math.cos(heading), math.sin(heading)
     vn, ve = speed * ch, speed * sh
     an, ae = acceleration * ch - ve * r, acceleration * sh + vn * r
@@ -106,17 +109,21 @@ def _knot(p: int, length: float, h0: float, path: Array, course: Array, waves: A
     r_m, r_n = radii_s(lat)
     slope_m, slope_n = _radius_slopes(lat, r_m, r_n)
     cl, sl = math.cos(lat), math.sin(lat)
-    a = 1.0 / (r_m + h0)
-    b = 1.0 / ((r_n + h0) * cl)
+    a = 1.0 / (r_m + h)
+    b = 1.0 / ((r_n + h) * cl)
     lat1 = a * vn
-    a1 = -a * a * slope_m * lat1
-    b1 = -b * b * (slope_n * cl - (r_n + h0) * sl) * lat1
+    a1 = -a * a * slope_m * lat1 - a * a * up
+    b1 = -b * b * (slope_n * cl - (r_n + h) * sl) * lat1 - b * b * cl * up
     knot[0, 0], knot[0, 1], knot[0, 2] = a * dn, a * (vn + dn1) + a1 * dn, a * (an + dn2) + a1 * (vn + 2.0 * dn1)
     knot[1, 0], knot[1, 1], knot[1, 2] = b * de, b * (ve + de1) + b1 * de, b * (ae + de2) + b1 * (ve + 2.0 * de1)
-    knot[2, 0], knot[2, 1], knot[2, 2] = h0 + m[3, 0], m[3, 1], m[3, 2]
+    knot[2, 0], knot[2, 1], knot[2, 2] = h + m[3, 0], up + m[3, 1], up1 + m[3, 2]
     lean = -heel * speed  # outward; r is zero while the speed changes
     knot[3, 0], knot[3, 1], knot[3, 2] = m[0, 0] + lean * r, m[0, 1] + lean * r1, m[0, 2] + lean * r2
     knot[4, 0], knot[4, 1], knot[4, 2] = m[1, 0], m[1, 1], m[1, 2]
+    if up != 0.0:  # the nose is along the path: tan(pitch) = up / speed
+        knot[4, 0] += math.atan(up / speed)
+        knot[4, 1] += up1 / speed
+        knot[4, 2] += (up2 * speed - up1 * acceleration) / (speed * speed)
     knot[5, 0], knot[5, 1], knot[5, 2] = heading + m[2, 0], r + m[2, 1], r1 + m[2, 2]
 
 
@@ -196,7 +203,7 @@ def truth_kernel(t: Array, length: float, h0: float, path: Array, course: Array,
     ----------
     t : (m,), s, each within the panels of `path`
     length : of a panel, s
-    h0 : height of the ship without waves, m
+    h0 : height at the start without waves, m
     path, course, waves, heel : tables of the trajectory
     out : (m, COLUMNS), written
     """
@@ -224,7 +231,7 @@ def increment_kernel(
     k0 : number of the first sample, >= 1; sample k covers (t_{k-1}, t_k]
     per_panel : samples in a panel
     length : of a panel, s
-    h0 : height of the ship without waves, m
+    h0 : height at the start without waves, m
     path, course, waves, heel : tables of the trajectory
     rate, force : (m, 3), written: FRD, rad/s and m/s^2
 

@@ -17,7 +17,7 @@ from riins_core.imu_array import CONFIGURATIONS
 from riins_core.sensor_errors import AccelErrors, GyroErrors
 from riins_core.settings import SettingError, as_mapping, build, section, setting
 
-from .course import LegSettings
+from .course import FASTEST_KN, LegSettings
 from .faults import AIDS, Fault, FaultSchedule, FaultSettings, FaultType
 from .scenario_file import ScenarioError, find, line_of, names, parse
 from .vessel import VesselSettings
@@ -28,12 +28,12 @@ __all__ = ["Scenario", "ScenarioError", "from_yaml", "load", "names"]
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Where and how the ship is at the start."""
+    """Where and how the ship, car or aircraft is at the start."""
 
     latitude_deg: float = setting(doc="geodetic latitude, WGS-84", unit="deg", low=-85.0, high=85.0)
     longitude_deg: float = setting(doc="longitude", unit="deg", low=-180.0, high=180.0)
-    height_m: float = setting(0.0, "mean height above the ellipsoid", "m", low=-500.0, high=9000.0)
-    speed_kn: float = setting(0.0, "speed along the heading", "kn", low=-20.0, high=60.0)
+    height_m: float = setting(0.0, "mean height above the ellipsoid", "m", low=-500.0, high=30000.0)
+    speed_kn: float = setting(0.0, "speed along the heading", "kn", low=-FASTEST_KN, high=FASTEST_KN)
     heading_deg: float = setting(0.0, "clockwise from true north", "deg", low=-360.0, high=360.0)
 
 
@@ -72,6 +72,43 @@ class DopplerSettings:
     misalignment_deg: float = setting(0.0, "1-sigma of the mounting error about the vertical, drawn by the seed", "deg", low=0.0, high=20.0)
     scale_ppm: float = setting(0.0, "1-sigma of the scale factor error, drawn by the seed", "ppm", low=0.0, high=1e5)
     lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "of the log in the body, FRD", "m", -500.0, 500.0, length=3)
+
+
+@dataclass(frozen=True)
+class OdometerSettings:
+    """An odometer; sideways and down it says that base_link does not move."""
+
+    enabled: bool = setting(False, "whether the car has it")
+    period_s: float = setting(1.0, "interval of measurements", "s", low=0.01, high=3600.0)
+    sigma_mps: float = setting(0.1, "white error of the speed", "m/s", low=1e-4, high=100.0)
+    scale_ppm: float = setting(0.0, "1-sigma of the scale factor error (tyres), drawn by the seed", "ppm", low=0.0, high=1e5)
+    sideways_sigma_mps: float = setting(0.1, "sigma that it states of its zero sideways", "m/s", low=1e-4, high=100.0)
+    down_sigma_mps: float = setting(0.1, "sigma that it states of its zero down", "m/s", low=1e-4, high=100.0)
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "of the wheel in the body, FRD", "m", -50.0, 50.0, length=3)
+
+
+@dataclass(frozen=True)
+class AltimeterSettings:
+    """A barometric altimeter."""
+
+    enabled: bool = setting(False, "whether there is one")
+    period_s: float = setting(1.0, "interval of measurements", "s", low=0.01, high=3600.0)
+    sigma_m: float = setting(1.0, "white error", "m", low=1e-3, high=1e4)
+    bias_m: float = setting(0.0, "1-sigma of the constant error, drawn by the seed", "m", low=0.0, high=1e4)
+    markov_sigma_m: float = setting(0.0, "slowly varying error (weather)", "m", low=0.0, high=1e4)
+    markov_time_s: float = setting(600.0, "correlation time of the slowly varying error", "s", low=1.0)
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "in the body, FRD", "m", -500.0, 500.0, length=3)
+
+
+@dataclass(frozen=True)
+class StarTrackerSettings:
+    """A star sensor that gives attitude against the local level; clouds are outages."""
+
+    enabled: bool = setting(False, "whether there is one")
+    period_s: float = setting(1.0, "interval of measurements", "s", low=0.01, high=3600.0)
+    sigma_arcsec: tuple[float, ...] = setting((5.0, 5.0, 15.0), "white error about forward, starboard, down", "arcsec", 1e-3, 1e5, length=3)
+    misalignment_arcsec: float = setting(0.0, "1-sigma of the mounting error about each axis, drawn by the seed", "arcsec", low=0.0, high=1e5)
+    max_rate_deg_s: float = setting(2.0, "no measurement while the body turns faster: the stars smear", "deg/s", low=0.01, high=100.0)
 
 
 @dataclass(frozen=True)
@@ -123,6 +160,9 @@ class Scenario:
     gps: PositionSettings = section(PositionSettings, "GPS receiver")
     bds: PositionSettings = section(PositionSettings, "BDS receiver")
     doppler: DopplerSettings = section(DopplerSettings, "Doppler log")
+    odometer: OdometerSettings = section(OdometerSettings, "odometer")
+    altimeter: AltimeterSettings = section(AltimeterSettings, "altimeter")
+    star_tracker: StarTrackerSettings = section(StarTrackerSettings, "star sensor")
     initial: InitialSettings = section(InitialSettings, "errors at the start")
     faults: tuple[FaultSettings, ...] = setting((), "faults, in the order in which they act on a value")
     outages: tuple[OutageSettings, ...] = setting((), "times without an aid")
@@ -137,8 +177,13 @@ class Scenario:
         sensors = len(self.fusion.get("geometry") or ()) // 3 or CONFIGURATIONS[self.imu.configuration].shape[0]
         for i, fault in enumerate(self.faults):
             word, _, number = fault.target.partition("_")
-            if number and int(number) >= sensors:
+            if number.isdecimal() and int(number) >= sensors:
                 raise SettingError(f"there is no {fault.target}: the IMU has {word}_0 .. {word}_{sensors - 1}", ("faults", str(i), "target"))
+        speed = self.start.speed_kn
+        for i, leg in enumerate(self.legs):
+            speed = speed if leg.speed_kn is None else leg.speed_kn
+            if leg.climb_m is not None and speed == 0.0:
+                raise SettingError("nothing climbs that stands still", ("legs", str(i), "climb_m"))
         for name, wish in self.expect.items():
             bounds = isinstance(wish, dict) and wish and set(wish) <= {"min", "max"} and all(isinstance(v, int | float) for v in wish.values())
             if not (bounds or isinstance(wish, list)):

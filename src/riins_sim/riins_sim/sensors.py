@@ -1,7 +1,8 @@
 """What the sensors of the ship read: redundant IMU, satellite receivers, Doppler log.
 
 Lives here: `RedundantImuSim`, `PositionSim`, `DopplerSim` and their blocks. Sample k is a pure function of scenario, seed and k; the fault-free
-twin is the same call without faults. Does not live here: motion (trajectory.py), stochastic models (riins_core.sensor_errors), faults (faults.py).
+twin is the same call without faults. Does not live here: motion (trajectory.py), stochastic models (riins_core.sensor_errors), faults (faults.py),
+odometer, altimeter and star sensor (further_sensors.py).
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.earth import STANDARD_GRAVITY, radii_s
+from riins_core.earth import STANDARD_GRAVITY
 from riins_core.imu_array import CONFIGURATIONS, ImuArray
-from riins_core.jit import jit
 from riins_core.noise import GaussMarkov, normal
 from riins_core.sensor_errors import KNOT, PPM, SensorErrors
 
+from .aid import AidSim, displaced, sensor_velocity, turned
 from .faults import FaultSchedule, Sample
 from .trajectory import Trajectory, Truth
 
@@ -176,71 +177,7 @@ class RedundantImuSim:
         return Sample(int(self.stamp_ns(k)), k, self._clean(k, 1)[which][0])
 
 
-class _Aid:
-    """What aids have in common: sample j has the stamp j x period, j >= 1."""
-
-    def __init__(self, scenario: Scenario, name: str, period_s: float, lever_arm: tuple[float, ...], trajectory: Trajectory | None) -> None:
-        self.name = name
-        self.trajectory = trajectory or Trajectory(scenario)
-        self.period_ns = round(period_s * 1e9)
-        self.samples = round(scenario.duration_s * 1e9) // self.period_ns
-        self._lever = np.array(lever_arm)
-        self._seed = scenario.seed
-        self._outages = scenario.outage_schedule().only([name])
-
-    def _span(self, k0: int, m: int) -> tuple[Stamps, Stamps, Truth]:
-        if k0 < 1 or m < 0 or k0 + m - 1 > self.samples:
-            raise ValueError(f"samples {k0} .. {k0 + m - 1} of {self.name} are outside the voyage of 1 .. {self.samples}")
-        k = np.arange(k0, k0 + m, dtype=np.int64)
-        stamp = k * self.period_ns
-        return k, stamp, self.trajectory.truth(stamp * 1e-9)
-
-    def _last_before(self, stamp_ns: int) -> int:
-        return min(max((stamp_ns - 1) // self.period_ns, 1), self.samples)
-
-    def _dropouts(self, stamp: Stamps, k0: int) -> NDArray[np.bool_]:
-        values = np.zeros((stamp.size, 3))
-        return self._outages.apply_aid(self.name, stamp, k0, values, _never)
-
-
-@jit
-def _sensor_velocity(c_nb: Array, v_n: Array, rate: Array, lever: Array, v_b: Array) -> None:
-    """Velocity over ground of a sensor in the body, FRD, m/s: v_b + w_nb x l."""
-    for i in range(v_n.shape[0]):
-        for j in range(3):
-            v_b[i, j] = c_nb[i, 0, j] * v_n[i, 0] + c_nb[i, 1, j] * v_n[i, 1] + c_nb[i, 2, j] * v_n[i, 2]
-        v_b[i, 0] += rate[i, 1] * lever[2] - rate[i, 2] * lever[1]
-        v_b[i, 1] += rate[i, 2] * lever[0] - rate[i, 0] * lever[2]
-        v_b[i, 2] += rate[i, 0] * lever[1] - rate[i, 1] * lever[0]
-
-
-@jit
-def _turned(c: Array, v: Array, out: Array) -> None:
-    """out += c v row by row; c is (m, 3, 3), or (1, 3, 3) for all rows."""
-    for i in range(v.shape[0]):
-        k = i if c.shape[0] > 1 else 0
-        for j in range(3):
-            out[i, j] += c[k, j, 0] * v[i, 0] + c[k, j, 1] * v[i, 1] + c[k, j, 2] * v[i, 2]
-
-
-@jit
-def _displaced(lat: Array, lon: Array, h: Array, offset: Array, place: Array, per_metre: Array) -> None:
-    """Positions moved by offsets north, east, down [m], and what a metre is in latitude, longitude and height there."""
-    for i in range(lat.shape[0]):
-        r_m, r_n = radii_s(lat[i])
-        per_metre[i, 0] = 1.0 / (r_m + h[i])
-        per_metre[i, 1] = 1.0 / ((r_n + h[i]) * np.cos(lat[i]))
-        per_metre[i, 2] = -1.0
-        place[i, 0] = lat[i] + offset[i, 0] * per_metre[i, 0]
-        place[i, 1] = lon[i] + offset[i, 1] * per_metre[i, 1]
-        place[i, 2] = h[i] - offset[i, 2]
-
-
-def _never(stamp_ns: int) -> Sample:
-    raise AssertionError("an outage holds no value")
-
-
-class PositionSim(_Aid):
+class PositionSim(AidSim):
     """A satellite receiver: position and velocity of its antenna with white and slowly varying errors.
 
     Parameters
@@ -284,8 +221,8 @@ class PositionSim(_Aid):
             has_fix &= faults.apply_aid(self.name, stamp, k0, place, self._before, per_metre)
         v_n = self._velocity_sigma * normal(self._seed, f"{self.name}/velocity", k0, m, 3)
         v_b = np.empty((m, 3))
-        _sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
-        _turned(truth.C_nb, v_b, v_n)
+        sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
+        turned(truth.C_nb, v_b, v_n)
         place[~has_fix] = np.nan
         v_n[~has_fix] = np.nan
         return PositionBlock(k, stamp, place[:, 0], place[:, 1], place[:, 2], self.covariance, has_fix, v_n, self.velocity_covariance)
@@ -295,9 +232,9 @@ class PositionSim(_Aid):
         offset = self._sigma * normal(self._seed, f"{self.name}/white", k0, m, 3)
         if self._markov is not None:
             offset[:, :2] += self._markov.block(k0, m)
-        _turned(truth.C_nb, np.tile(self._lever, (m, 1)), offset)
+        turned(truth.C_nb, np.tile(self._lever, (m, 1)), offset)
         place, per_metre = np.empty((m, 3)), np.empty((m, 3))
-        _displaced(truth.lat, truth.lon, truth.h, offset, place, per_metre)
+        displaced(truth.lat, truth.lon, truth.h, offset, place, per_metre)
         return place, per_metre
 
     def _before(self, stamp_ns: int) -> Sample:
@@ -307,7 +244,7 @@ class PositionSim(_Aid):
         return Sample(int(stamp[0]), k, place[0], per_metre[0])
 
 
-class DopplerSim(_Aid):
+class DopplerSim(AidSim):
     """The Doppler log: velocity over ground at the log, along axes that are not quite the ship's.
 
     Parameters
@@ -344,8 +281,8 @@ class DopplerSim(_Aid):
     def _clean(self, k0: int, truth: Truth) -> Array:
         reading = self._sigma * normal(self._seed, "doppler/white", k0, truth.t.size, 3)
         v_b = np.empty((truth.t.size, 3))
-        _sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
-        _turned(self._turn[None], v_b, reading)
+        sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
+        turned(self._turn[None], v_b, reading)
         return reading
 
     def _before(self, stamp_ns: int) -> Sample:

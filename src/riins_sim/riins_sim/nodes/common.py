@@ -21,7 +21,7 @@ from riins_node.pace import Pacer, Stream
 from riins_node.parameters import declare
 
 from .. import scenario as scenarios
-from ..faults import Fault, FaultType
+from ..faults import Fault, FaultSchedule, FaultType
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class SimNode(Node):
             if values["start_ns"] is None:
                 values["start_ns"] = self.next_stamp_ns()
             fault = Fault(**{**values, "type": FaultType(values["type"])})
-            if fault.target.partition("_")[0] not in self._targets or not self._exists(fault):
+            if not FaultSchedule([fault]).only(self._targets).faults or not self._exists(fault):
                 raise SettingError(f"this node has no {fault.target}")
         except ValueError as error:
             response.success, response.message = False, str(error)
