@@ -1,6 +1,6 @@
 """Settings: frozen dataclasses whose fields carry description, unit and range.
 
-Lives here: `setting`, `build`, `as_mapping`, `SettingError`; every node's ROS parameters and every section of a scenario are such a class.
+Lives here: `setting`, `section`, `declared`, `build`, `as_mapping`, `SettingError`; node parameters and sections of a scenario are such classes.
 Does not live here: ROS parameter declaration (riins_node.parameters), reading of YAML files (riins_sim.scenario).
 """
 
@@ -11,7 +11,7 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -65,6 +65,59 @@ def section(cls: type[T], doc: str = "") -> Any:
     return dataclasses.field(default_factory=cls, metadata={"doc": doc})
 
 
+def declared(names: str, kinds: Callable[[], Mapping[str, type]], defaults: Mapping[str, str]) -> Any:
+    """Declare sections that the user names: a field of type Mapping[str, Any], the settings by name.
+
+    Parameters
+    ----------
+    names : the field (a tuple of words) that lists them; each stands beside that field under its own name, and its setting `type` says what it is
+    kinds : gives the settings class of each type
+    defaults : types of names that need none
+    """
+
+    def make() -> dict[str, Any]:
+        return {name: kinds()[kind]() for name, kind in defaults.items()}
+
+    return dataclasses.field(default_factory=make, metadata={"declared": names, "kinds": kinds, "defaults": defaults})
+
+
+def declared_sections(cls: type, values: Mapping[str, Any], path: tuple[str, ...] = ()) -> dict[str, type]:
+    """Settings class of every section that `values` declare for a settings class, by name; nothing for a class without such sections.
+
+    Raises
+    ------
+    SettingError
+        A section is missing, named twice, or its name cannot be one; an unknown type (nearest one named).
+    """
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    found: dict[str, type] = {}
+    for field in fields.values():
+        if "declared" not in field.metadata:
+            continue
+        listed, kinds = field.metadata["declared"], field.metadata["kinds"]()
+        where = (*path, listed)
+        names = values.get(listed, fields[listed].default)
+        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+            raise SettingError(f'"{_name(where)}" must be a list of names, not {names!r}', where)
+        for name in names:
+            own = values.get(name)
+            if not name.isidentifier() or name in fields:
+                raise SettingError(f'"{_name(where)}" names "{name}", which cannot be the name of a section', where)
+            if name in found:
+                raise SettingError(f'"{_name(where)}" names "{name}" twice', where)
+            kind = own.get("type") if isinstance(own, Mapping) else None
+            kind = field.metadata["defaults"].get(name) if kind is None else kind
+            if kind is None:
+                raise SettingError(
+                    f'"{_name(where)}" names "{name}", but there is no "{_name((*path, name))}.type"; types are {", ".join(kinds)}', where
+                )
+            if kind not in kinds:
+                said = f'"{_name((*path, name))}.type" must be one of {", ".join(kinds)}, not {kind!r}{nearest(str(kind), kinds)}'
+                raise SettingError(said, (*path, name, "type"))
+            found[name] = kinds[kind]
+    return found
+
+
 def nearest(name: str, known: typing.Iterable[str]) -> str:
     """Suggestion for a misspelt name: ' (did you mean "x"?)', or '' when nothing is near."""
     match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
@@ -97,14 +150,20 @@ def build(cls: type[T], values: Mapping[str, Any], path: tuple[str, ...] = ()) -
     if not isinstance(values, Mapping):
         raise SettingError(f"{_name(path)} must be a mapping, not {_kind(values)}", path)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    sections = declared_sections(cls, values, path)
+    known = [*(name for name, field in fields.items() if "declared" not in field.metadata), *sections]
     for key in values:
-        if key not in fields:
-            raise SettingError(f'unknown setting "{".".join((*path, str(key)))}"{nearest(str(key), fields)}', (*path, str(key)))
+        if key not in known:
+            raise SettingError(
+                f'unknown setting "{".".join((*path, str(key)))}"{nearest(str(key), known)}{_undeclared(fields, values[key])}', (*path, str(key))
+            )
     hints = field_types(cls)
     made: dict[str, Any] = {}
     for name, field in fields.items():
         where = (*path, name)
-        if name in values:
+        if "declared" in field.metadata:
+            made[name] = {one: build(kind, values.get(one, {}), (*path, one)) for one, kind in sections.items()}
+        elif name in values:
             made[name] = _convert(hints[name], values[name], field.metadata, where)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise SettingError(f'"{_name(where)}" is missing{_hint(field.metadata)}', where)
@@ -118,7 +177,11 @@ def as_mapping(config: Any) -> dict[str, Any]:
     """Nested plain mapping (lists for tuples) of a settings object; `build` of it gives the object back."""
     result: dict[str, Any] = {}
     for field in dataclasses.fields(config):
-        result[field.name] = _plain(getattr(config, field.name))
+        value = getattr(config, field.name)
+        if "declared" in field.metadata:
+            result.update({name: as_mapping(one) for name, one in value.items()})
+        else:
+            result[field.name] = _plain(value)
     return result
 
 
@@ -143,6 +206,11 @@ def unflatten(flat: Mapping[str, Any]) -> dict[str, Any]:
             here = here.setdefault(parent, {})
         here[leaf] = value
     return nested
+
+
+def _undeclared(fields: Mapping[str, Any], value: Any) -> str:
+    lists = [field.metadata["declared"] for field in fields.values() if "declared" in field.metadata]
+    return f', or is it a section that "{lists[0]}" should name?' if lists and isinstance(value, Mapping) else ""
 
 
 def _plain(value: Any) -> Any:

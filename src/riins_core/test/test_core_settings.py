@@ -1,10 +1,12 @@
 """Settings: what is taken, what is refused, and that the message says where and what was meant."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
-from riins_core.settings import SettingError, as_mapping, build, field_types, flatten, section, setting, unflatten
+from riins_core.settings import SettingError, as_mapping, build, declared, field_types, flatten, section, setting, unflatten
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def test_mapping_round_trip():
         ({"name": "x", "inner": {"sigma_m": [1, 2]}}, "must have 3 elements, not 2", ("inner", "sigma_m")),
         ({"name": "x", "inner": {"sigma_m": [1, 2, -3]}}, "0.0 .. 1000.0", ("inner", "sigma_m", "2")),
         ({"name": "x", "inner": {"sigma_m": 1.0}}, "must be a list, not float", ("inner", "sigma_m")),
-        ({"name": "x", "inner": {"mode": "exat"}}, 'one of fast, exact, not \'exat\' (did you mean "exact"?)', ("inner", "mode")),
+        ({"name": "x", "inner": {"mode": "exat"}}, "one of fast, exact, not 'exat' (did you mean \"exact\"?)", ("inner", "mode")),
         ({"name": "x", "inner": None}, "inner must be a mapping, not nothing", ("inner",)),
         ({"name": "x", "count": 7}, "seven is unlucky", ("count",)),
     ],
@@ -81,3 +83,61 @@ def test_refusals(values, message, path):
 def test_top_level_must_be_a_mapping():
     with pytest.raises(SettingError, match="the top level must be a mapping, not list"):
         build(Outer, [1])
+
+
+@dataclass(frozen=True)
+class Round:
+    """A kind of section."""
+
+    type: str = setting("round", "kind", choices=("round",))
+    radius_m: float = setting(1.0, "radius", "m", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Square:
+    """Another kind."""
+
+    type: str = setting("square", "kind", choices=("square",))
+    side_m: float = setting(2.0, "side", "m", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Settings with sections that the user names."""
+
+    count: int = setting(1, "how many")
+    shapes: tuple[str, ...] = setting(("ball",), "names")
+    shape: Mapping[str, Any] = declared("shapes", lambda: {"round": Round, "square": Square}, {"ball": "round"})
+
+
+def test_declared_sections_are_built_by_their_type_and_come_back() -> None:
+    assert Shapes().shape == {"ball": Round()}
+    values = {"shapes": ["ball", "box"], "box": {"type": "square", "side_m": 3}}
+    config = build(Shapes, values)
+    assert config.shape == {"ball": Round(), "box": Square(side_m=3.0)}
+    plain = as_mapping(config)
+    assert plain["box"] == {"type": "square", "side_m": 3.0} and plain["shapes"] == ["ball", "box"]
+    assert build(Shapes, plain) == config and build(Shapes, unflatten(flatten(plain))) == config
+    assert build(Shapes, {"shapes": []}).shape == {}
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"shapes": ["box"]}, r'"shapes" names "box", but there is no "box.type"; types are round, square'),
+        ({"shapes": ["box"], "box": {"type": "sqare"}}, r'"box.type" must be one of round, square, not \'sqare\' \(did you mean "square"\?\)'),
+        ({"box": {"type": "square"}}, r'unknown setting "box".* section that "shapes" should name'),
+        ({"shapes": ["ball", "ball"]}, "twice"),
+        ({"shapes": ["count"]}, "cannot be the name"),
+        ({"shapes": ["two words"]}, "cannot be the name"),
+        ({"shapes": "ball"}, "must be a list of names"),
+        ({"ball": {"radius_m": 11.0}}, r'"ball.radius_m" must be in'),
+        ({"ball": {"side_m": 1.0}}, r'unknown setting "ball.side_m"'),
+        ({"shape": {}}, r'unknown setting "shape"'),
+        ({"ball": 3}, r"ball must be a mapping"),
+    ],
+)
+def test_a_wrong_declaration_is_one_clear_line(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingError, match=said) as caught:
+        build(Shapes, values)
+    assert "\n" not in str(caught.value)

@@ -20,7 +20,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from riins_core.settings import SettingError, as_mapping, build, field_types, flatten, nearest, unflatten
+from riins_core.settings import SettingError, as_mapping, build, declared_sections, field_types, flatten, nearest, unflatten
 
 T = TypeVar("T")
 
@@ -69,7 +69,11 @@ def declare(
     -----
     rclpy accepts unknown names silently and refuses a whole number for a floating point parameter; both are put right here.
     """
-    leaves = _leaves(config_class)
+    told = {**(overrides or {}), **{name: _plain(p.value) for name, p in node._parameter_overrides.items()}}
+    try:
+        leaves = _leaves(config_class, _declarations(config_class, told))
+    except SettingError as error:
+        raise ParameterError(f"parameter {error}") from None
     lists: dict[str, list[Any]] = {name: [] for name, leaf in leaves.items() if leaf.type in _ARRAYS.values()}  # an empty list comes without a value
     given = {name: _plain(lists.get(name) if p.value is None else p.value) for name, p in node._parameter_overrides.items()}
     given = {name: value for name, value in given.items() if value is not None}
@@ -160,16 +164,29 @@ def parameter_file(node: Node, describe: bool = True) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _leaves(cls: type, prefix: str = "") -> dict[str, _Leaf]:
+def _declarations(cls: type, told: Mapping[str, Any]) -> dict[str, Any]:
+    """What is said of the sections that a user names: their lists, and the type of each."""
+    lists = {field.metadata["declared"] for field in dataclasses.fields(cls) if "declared" in field.metadata}
+    said = {name: [] if value is None else value for name, value in told.items() if name in lists}
+    types_of = {name.removesuffix(".type"): {"type": value} for name, value in told.items() if name.endswith(".type") and name.count(".") == 1}
+    return {**types_of, **said}
+
+
+def _leaves(cls: type, values: Mapping[str, Any], prefix: str = "") -> dict[str, _Leaf]:
+    """Parameters of a settings class, and of the sections that the values given declare."""
     leaves: dict[str, _Leaf] = {}
     hints = field_types(cls)
     for field in dataclasses.fields(cls):
+        if "declared" in field.metadata:
+            for name, kind in declared_sections(cls, values).items():
+                leaves.update(_leaves(kind, {}, f"{prefix}{name}."))
+            continue
         kind, optional = hints[field.name], False
         if typing.get_origin(kind) in (typing.Union, types.UnionType):
             kind, optional = next(a for a in typing.get_args(kind) if a is not type(None)), True
         name = prefix + field.name
         if dataclasses.is_dataclass(kind):
-            leaves.update(_leaves(typing.cast(type, kind), f"{name}."))
+            leaves.update(_leaves(typing.cast(type, kind), {}, f"{name}."))
         elif typing.get_origin(kind) is tuple:
             leaves[name] = _Leaf(_ARRAYS[typing.get_args(kind)[0]], field.metadata, optional)
         else:
