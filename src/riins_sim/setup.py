@@ -11,13 +11,13 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         # not entry points: those import for 30 ms before a signal can be taken
-        (f"lib/{NAME}", ["scripts/rimu", "scripts/gps", "scripts/bds", "scripts/doppler", "scripts/truth"]),
+        (f"lib/{NAME}", [f"scripts/{node}" for node in ("rimu", "gps", "bds", "doppler", "odometer", "altimeter", "star_tracker", "truth")]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
     maintainer="RIINS developers",
     maintainer_email="riins@example.org",
-    description="The simulated ship: scenario, trajectory, waves, redundant IMU, GPS, BDS, Doppler log, faults; one node each.",
+    description="The simulated ship, car or aircraft: scenario, trajectory, waves, redundant IMU, its aids, faults; one node each.",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
 )

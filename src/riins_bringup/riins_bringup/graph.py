@@ -20,6 +20,15 @@ from riins_core.settings import SettingError, as_mapping, build, field_types, fl
 CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
 IMU_TOPIC = "/rimu/raw"
+AID_TOPICS = {
+    "gps": "gps/fix",
+    "bds": "bds/fix",
+    "doppler": "doppler/velocity",
+    "odometer": "odometer/velocity",
+    "altimeter": "altimeter/height",
+    "star_tracker": "star_tracker/attitude",
+}
+"""What each simulated aid gives the navigator."""
 _NAMESPACE = re.compile(r"/?(?:[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*/?)?")
 
 
@@ -265,7 +274,7 @@ def replay_graph(settings: GraphSettings) -> Graph:
 def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
     """Simulated sensors of a scenario and what they publish; a disabled aid has no node."""
     sources: dict[str, tuple[str, ...]] = {"rimu": ("rimu/raw",)}
-    for name, topic in (("gps", "gps/fix"), ("bds", "bds/fix"), ("doppler", "doppler/velocity")):
+    for name, topic in AID_TOPICS.items():
         if getattr(scenario, name).enabled:
             sources[name] = (topic,)
     sources["truth"] = ("truth/state", "truth/odometry", "nav/initial_state")

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from riins_core import frames
 from riins_core.ins_error import BA, BG, PHI, POS, VEL
-from riins_core.rotation import skew
+from riins_core.rotation import dcm_from_euler, skew
 from riins_node.message_parts import (
     BASE,
     COVARIANCE_KNOWN,
@@ -279,6 +279,30 @@ def doppler(stamp_ns: Any, v_b: ArrayLike, covariance: ArrayLike, frame_id: str 
     return _twist(stamp_ns, frame_id, frames.frd_to_flu(v_b), frames.frd_to_flu_covariance(covariance))
 
 
+def height(stamp_ns: Any, h: Any, variance: float, frame_id: str = "altimeter_link") -> Fields:
+    """geometry_msgs/PoseWithCovarianceStamped of a height: `h` float or (m,) in m above the ellipsoid is position.z; nothing else in it is meant."""
+    h = np.asarray(h, np.float64)
+    whole = np.zeros((6, 6))
+    whole[2, 2] = variance
+    position = {"x": np.zeros_like(h), "y": np.zeros_like(h), "z": h}
+    return {"header": header(stamp_ns, frame_id), "pose": {"pose": {"position": position, "orientation": {"w": 1.0}}, "covariance": flat(whole)}}
+
+
+def attitude(stamp_ns: Any, rph: ArrayLike, covariance: ArrayLike) -> Fields:
+    """geometry_msgs/PoseWithCovarianceStamped of a star sensor: the orientation of its FLU axes in local ENU; nothing else in it is meant.
+
+    Parameters
+    ----------
+    stamp_ns : int, or (m,)
+    rph : (3,) or (m, 3), roll, pitch, heading, rad
+    covariance : (3, 3), of small rotations about forward, starboard, down; the message has it about the fixed axes of ENU
+    """
+    C_nb = dcm_from_euler(*np.moveaxis(np.asarray(rph, np.float64), -1, 0))
+    whole = np.zeros((*C_nb.shape[:-2], 6, 6))
+    whole[..., 3:, 3:] = frames.ned_to_enu_covariance(C_nb @ np.asarray(covariance) @ np.swapaxes(C_nb, -1, -2))
+    return {"header": header(stamp_ns, MAP), "pose": {"pose": {"orientation": quaternion(frames.attitude_to_enu(C_nb))}, "covariance": flat(whole)}}
+
+
 def initial_state(state: Any) -> Fields:
     """riins_msgs/InitialState of an object with the attributes of riins_federated.types.InitialState."""
     position = {"latitude": float(np.degrees(state.lat)), "longitude": float(np.degrees(state.lon)), "height": float(state.h)}
@@ -331,6 +355,7 @@ __all__ = [
     "SERVICE",
     "STATUS_FIX",
     "STATUS_NO_FIX",
+    "attitude",
     "diagnostics",
     "doppler",
     "euler_covariance",
@@ -338,6 +363,7 @@ __all__ = [
     "fault_array",
     "federated_status",
     "fused_imu",
+    "height",
     "fusion_method",
     "header",
     "imu",

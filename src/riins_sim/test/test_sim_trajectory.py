@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sim_voyage import close
 
 from riins_core.earth import earth_rate_n, gravity, radii, transport_rate_n
 from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3, log_so3
 from riins_core.sensor_errors import KNOT
-from riins_core.strapdown import StrapdownState, strapdown_slaved
 from riins_sim.scenario import load
 from riins_sim.trajectory import Trajectory
 
@@ -154,25 +154,6 @@ def test_outside_the_voyage(trajectory):
             trajectory.increments(k0, m)
     assert trajectory.increments(40000, 1)[0].shape == (1, 3)
     assert trajectory.truth([]).lat.shape == (0,)
-
-
-def close(trajectory: Trajectory, seconds: float) -> tuple[float, float]:
-    """Largest horizontal distance [m] and heading error [arcsec] of the strapdown fed with exact increments; height slaved to the truth."""
-    start = trajectory.truth(0.0)
-    state = StrapdownState(float(start.lat[0]), float(start.lon[0]), float(start.h[0]), start.v_n[0], start.C_nb[0])
-    zero, block = np.zeros(3), 6000
-    distance = heading = 0.0
-    for k0 in range(1, round(seconds / trajectory.dt) + 1, block):
-        rate, force = trajectory.increments(k0, block)
-        truth = trajectory.truth(np.arange(k0, k0 + block) * trajectory.dt)
-        dt = np.full(block, trajectory.dt)
-        strapdown_slaved(state.nav, state.dtheta_prev, state.dv_prev, rate, force, dt, zero, zero, state.sums, truth.h, truth.v_n[:, 2])
-        r_m, r_n = radii(truth.lat[-1])
-        north, east = (state.nav[0] - truth.lat[-1]) * float(r_m), (state.nav[1] - truth.lon[-1]) * float(r_n) * np.cos(truth.lat[-1])
-        distance = max(distance, float(np.hypot(north, east)))
-        error = log_so3(state.c_nb @ truth.C_nb[-1].T)
-        heading = max(heading, abs(np.rad2deg(error[2]) * 3600.0))
-    return distance, heading
 
 
 def test_strapdown_closure():
