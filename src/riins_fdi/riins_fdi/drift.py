@@ -70,19 +70,29 @@ class DriftReport(NamedTuple):
     and stays in the body rate; only aiding from outside resolves it"""
 
 
-def voting_rows(array: ImuArray) -> Array:
+def voting_rows(array: ImuArray, mask: int | None = None) -> Array:
     """Voting vector of each sensor: a parity relation without it, thesis (4-42) and (4-85).
+
+    Parameters
+    ----------
+    array : n sensors
+    mask : bit i set: sensor i is used; None: all
 
     Returns
     -------
     (n, n), row i a unit row r with r H = 0, r_i = 0, from as few relations as possible: three for a dodecahedron, each without two sensors,
-    which are the rows of (4-85) over sqrt 2 in the order of (2-33)
+    which are the rows of (4-85) over sqrt 2 in the order of (2-33); zeros for and at sensors that are not used
 
     Raises
     ------
     ValueError
-        A sensor enters every relation: nothing can vote on it.
+        A sensor enters every relation: nothing can vote on it. The sensors do not span three axes, or are too many for `parity_relations`.
     """
+    if mask is not None and mask != (1 << array.n) - 1:
+        used = array.used(mask)
+        rows = np.zeros((array.n, array.n))
+        rows[np.ix_(used, used)] = voting_rows(ImuArray(array.H[used]))
+        return rows
     relations, members = parity_relations(array)
     left, rows = set(range(array.n)), np.zeros((array.n, array.n))
     while left:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 
 Array = NDArray[np.float64]
 
@@ -208,6 +208,38 @@ def drift_factor(D: Array, x: Array, change: Array, alpha: Array) -> None:
             alpha[i] = max(_FLOOR, change[i] / before * (abs(D[i] * x[i]) / now) / total)
 
 
+@inner
+def loop_step(
+    m: Array, V: Array, votes: Array, gain: float, process: float, most: float, R: Array, kind: int, factor: bool, draws: Array, x: Array, P: Array,
+    D: Array, alpha: Array, change: Array, cloud: Array, weights: Array, H: Array, y: Array, z: Array, u: Array,
+) -> None:  # fmt: skip
+    """One sample m (n,), already without D; gain = K dt, the rest as in `loop`, and room for (d + n, n), (d + n,), (d,), (n,)."""
+    n, d = D.shape[0], V.shape[0]
+    for i in range(n):
+        u[i] = -gain * alpha[i] * x[i]
+    for r in range(d):
+        s = 0.0
+        for i in range(n):
+            s += V[r, i] * m[i]
+        z[r] = s
+    if kind >= AEKPF:
+        particles(kind, z, u, V, votes, R, process, most, draws, x, P, cloud, weights)
+    else:
+        for i in range(n):
+            x[i] += u[i]
+        linearize(x, z, V, votes, H, y)
+        if kind == AEKF:
+            P *= fading(P, H, y, R)
+        for i in range(n):
+            P[i, i] += process * process
+        bound(P, most)
+        update(x, P, H, y, R)
+    if factor:
+        drift_factor(D, x, change, alpha)
+    for i in range(n):
+        D[i] += gain * alpha[i] * x[i]
+
+
 @jit
 def loop(
     m: Array, V: Array, votes: Array, settings: Array, kind: int, factor: bool, draws: Array, x: Array, P: Array, D: Array, alpha: Array,
@@ -221,29 +253,11 @@ def loop(
     R[d:] = vote * vote
     for k in range(m.shape[0]):
         for i in range(n):
-            u[i] = -gain * alpha[i] * x[i] * dt
             out_m[k, i] = m[k, i] - D[i]
-        for r in range(d):
-            s = 0.0
-            for i in range(n):
-                s += V[r, i] * out_m[k, i]
-            z[r] = s
-        if kind >= AEKPF:
-            particles(kind, z, u, V, votes, R, process, most, draws[k], x, P, cloud, weights)
-        else:
-            for i in range(n):
-                x[i] += u[i]
-            linearize(x, z, V, votes, H, y)
-            if kind == AEKF:
-                P *= fading(P, H, y, R)
-            for i in range(n):
-                P[i, i] += process * process
-            bound(P, most)
-            update(x, P, H, y, R)
-        if factor:
-            drift_factor(D, x, change, alpha)
+        loop_step(
+            out_m[k], V, votes, gain * dt, process, most, R, kind, factor, draws[k], x, P, D, alpha, change, cloud, weights, H, y, z, u
+        )  # fmt: skip
         for i in range(n):
-            D[i] += gain * alpha[i] * x[i] * dt
             out_d[k, i] = D[i]
             out_x[k, i] = x[i]
             out_alpha[k, i] = alpha[i]

@@ -150,7 +150,7 @@ class HealthMachine:
         longest = max(config.hold_s, config.hold_max_s)
         return _ns(min(longest, config.hold_s * config.hold_growth ** min(relapses, 60)))
 
-    def step(self, stamp_ns: int, good: bool, reason: int = REASON_NONE) -> Change | None:
+    def step(self, stamp_ns: int, good: bool, reason: int = REASON_NONE, confirmed: bool = True) -> Change | None:
         """Judge one test.
 
         Parameters
@@ -158,6 +158,7 @@ class HealthMachine:
         stamp_ns : stamp of the measurement that was tested, not before the last one
         good : it passed
         reason : why it failed; kept if the state changes
+        confirmed : nothing else stands against a return from probation
 
         Returns
         -------
@@ -166,11 +167,11 @@ class HealthMachine:
         m, config = self._m, self._config
         if m.state is HealthState.ABSENT:
             back = self._to(stamp_ns, m.fallback, m.reason if m.fallback in (HealthState.ISOLATED, HealthState.PROBATION) else REASON_NONE)
-            return _merge(back, self.step(stamp_ns, good, reason))
+            return _merge(back, self.step(stamp_ns, good, reason, confirmed))
         if m.state is HealthState.EXCLUDED:
             return None
         if m.state is HealthState.PROBATION:
-            return self._probation(stamp_ns, good, reason)
+            return self._probation(stamp_ns, good, reason, confirmed)
         if m.state is HealthState.ISOLATED:
             if not good:
                 self._m = m._replace(last_bad_ns=stamp_ns)
@@ -179,7 +180,7 @@ class HealthMachine:
             if stamp_ns - start < self.hold_ns:
                 return None
             change = self._to(stamp_ns, HealthState.PROBATION, m.reason, first_ns=stamp_ns, relapses=m.relapses)
-            return _merge(change, self._probation(stamp_ns, True, reason))
+            return _merge(change, self._probation(stamp_ns, True, reason, confirmed))
         return self._in_use(stamp_ns, good, reason)
 
     def absent(self, stamp_ns: int, reason: int = REASON_NONE) -> Change | None:
@@ -273,13 +274,13 @@ class HealthMachine:
             return self._to(stamp_ns, HealthState.SUSPECT, reason, bad_count=m.bad_count, first_ns=first, last_bad_ns=stamp_ns)
         return None
 
-    def _probation(self, stamp_ns: int, good: bool, reason: int) -> Change | None:
+    def _probation(self, stamp_ns: int, good: bool, reason: int, confirmed: bool) -> Change | None:
         m, config = self._m, self._config
         if not good:
             return self._to(stamp_ns, HealthState.ISOLATED, reason, last_bad_ns=stamp_ns, relapses=m.relapses + 1)
         first = stamp_ns if m.first_ns == NEVER_NS else m.first_ns
         self._m = m = m._replace(first_ns=first, good_count=m.good_count + 1)
-        if m.good_count >= config.probation_count and stamp_ns - first >= _ns(config.probation_s):
+        if confirmed and m.good_count >= config.probation_count and stamp_ns - first >= _ns(config.probation_s):
             return self._to(stamp_ns, HealthState.HEALTHY, self._recovered)
         return None
 

@@ -24,6 +24,7 @@ from riins_imu_fusion.glr_kf import GlrSettings
 from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.method import TriadModel
 from riins_imu_fusion.noise_watch import NoiseSettings
+from riins_imu_fusion.rfdc import RfdcSettings, too_few_or_many
 from riins_imu_fusion.sequences import SEQUENTIAL_TESTS, SequenceSettings
 
 KINDS = ("gyro", "accel")
@@ -50,6 +51,7 @@ class DriftSettings:
     accel_walk: tuple[float, ...] = setting((0.0,), "random walk of an accelerometer's drift, likewise", "m/s^2/sqrt(s)", 0.0, 100.0)
     adaptive: AdaptiveSettings = section(AdaptiveSettings, "aopt")
     compensation: CompensationSettings = section(CompensationSettings, "optdc")
+    rfdc: RfdcSettings = section(RfdcSettings, "rfdc and irfdc, which are told nothing of the above")
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class FusionConfig:
         n = self.array().n
         if self.parity_test == "direct_comparison" and n > MOST_RELATED:
             raise SettingError(f'"parity_test": direct_comparison takes at most {MOST_RELATED} sensors, not {n}')
+        if self.method in ("rfdc", "irfdc") and (problem := too_few_or_many(self.method, n)):
+            raise SettingError(f'"method": {problem}')
         if len(self.groups) not in (0, n):
             raise SettingError(f'"groups" must have 0 or {n} elements, not {len(self.groups)}')
         if self.groups and max(self.groups) >= n:

@@ -22,14 +22,14 @@ from riins_imu_fusion.glr_kf_state import (
 from riins_imu_fusion.optimal import optimal_step
 from riins_imu_fusion.state import COMPENSATION, ESTIMATE, FEEDBACK, FORGETTING, MEMORY, QUIET, SOFTENING, STEP, TOTAL, DriftState, F
 
-WLS, GLR_KF, OPT, AOPT, OPTDC = 0, 1, 2, 3, 4
-FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC}
-"""Number of each fusion method by the name that methods.METHODS gives it."""
+WLS, GLR_KF, OPT, AOPT, OPTDC, RFDC, IRFDC = 0, 1, 2, 3, 4, 5, 6
+FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC, "rfdc": RFDC, "irfdc": IRFDC}
+"""Number of each fusion method by the name that methods.METHODS gives it; rfdc and irfdc: riins_fdi.drift."""
 
 
 @inner
 def known(kind: int, ints: I, vec: F, z: F, tested: F) -> None:
-    """Measurements without the drifts that glr_kf knew before this sample; those of opt, aopt and optdc stay in: they answer for no threshold."""
+    """Measurements without the drifts that glr_kf knew before this sample; those of the others stay in: they answer for no threshold."""
     for i in range(z.shape[1]):
         tested[kind, i] = z[kind, i]
         if ints[ACTIVE] == 1 and vec[USED, i] > 0.0:
@@ -75,6 +75,17 @@ def follow(
             for a in range(3):
                 for b in range(3):
                     excess[a, b] += W[a, i] * P[i, j] * W[b, j]
+
+
+@inner
+def take_out(kind: int, member: F, st: DriftState, z: F, clean: F, removed: F, excess: F) -> None:
+    """Rfdc or irfdc: what rfdc.py has said of this sample; parameters as in `follow`."""
+    for i in range(z.shape[1]):
+        removed[i] = st.vec[kind, COMPENSATION, i] * member[i]
+        clean[kind, i] = z[kind, i] - removed[i]
+    for a in range(3):
+        for b in range(3):
+            excess[a, b] += st.spread[kind, a, b]
 
 
 @inner

@@ -34,8 +34,7 @@ class Drifts:
 
     def fresh(self) -> K.DriftState:
         """Memory before the first sample."""
-        n = self._models[0].array.n
-        state = K.DriftState(np.zeros((2, 4, n)), np.zeros((2, n, n)), np.zeros((2, 2)))
+        state = K.DriftState.of(self._models[0].array.n)
         for kind, model in enumerate(self._models):
             state.vec[kind, K.STEP] = model.Q
             state.P[kind] = np.diag(model.P)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import inner, jit
-from riins_imu_fusion.corrections import GLR_KF, OPT, add_excess, follow, known, learn
+from riins_imu_fusion.corrections import GLR_KF, OPT, RFDC, add_excess, follow, known, learn, take_out
 from riins_imu_fusion.glr_kf_kernel import add_only
 from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
 from riins_imu_fusion.judges import DIRECT, GLT, SVD, blame_unit, compare, explain_parity, largest, quadratic, resolve
@@ -21,8 +21,8 @@ from riins_imu_fusion.sequences import feed
 
 # isort: off
 from riins_imu_fusion.state import (
-    COMMAND, DONE, EVENT, FORCE_STATUS, FUSED, HAVE, LAST, NEED_TABLE, NEXT_COMMAND, QUIET, RECEIVED, REJECTED_NO_SOLUTION, REJECTED_STAMP,
-    RESOLVED, RESTART, SEQUENCE, SEQUENCES, SOLUTION, TABLE, TEST, TICK, UNRESOLVED, B, Block, I, Output, Rules, State, Tables, U,
+    COMMAND, COMPENSATED, DONE, EVENT, FORCE_STATUS, FUSED, HAVE, LAST, NEED_DRIFT, NEED_TABLE, NEXT_COMMAND, QUIET, RECEIVED, REJECTED_NO_SOLUTION,
+    REJECTED_STAMP, RESOLVED, RESTART, SEQUENCE, SEQUENCES, SOLUTION, TABLE, TEST, TICK, UNRESOLVED, B, Block, I, Output, Rules, State, Tables, U,
 )  # fmt: skip
 # isort: on
 
@@ -85,7 +85,8 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
     -------
     k : next sample to give
     o : next place to write
-    code : DONE; EVENT and TICK (bits, the sample before k is finished); RESTART, COMMAND, NEED_TABLE (sample k is not begun)
+    code : DONE; EVENT and TICK (bits, the sample before k is finished); RESTART, COMMAND, NEED_TABLE (sample k is not begun);
+        NEED_DRIFT (it is tested, and its drifts are wanted)
     """
     clock, counts = st.clock, st.counts
     value, repeat, base, wake, calm = st.value, st.repeat, st.base, st.wake, st.calm
@@ -180,6 +181,9 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
             used[kind] = rest
             used_slot[kind] = place
 
+        if solved and rules.fusion >= RFDC and clock[COMPENSATED] != t:
+            clock[COMPENSATED] = t
+            return k, o, NEED_DRIFT
         # from here on the sample is worked in, once
         code = DONE
         counts[RECEIVED] += 1
@@ -191,7 +195,9 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     output.drift[kind, o, i] = 0.0
                 for a in range(9):
                     output.excess[kind, o, a // 3, a % 3] = tb.extra[kind, place, a // 3, a % 3]
-                if rules.fusion >= OPT:
+                if rules.fusion >= RFDC:
+                    take_out(kind, tb.member[kind, place], st.drift, z, clean, output.drift[kind, o], output.excess[kind, o])
+                elif rules.fusion >= OPT:
                     first = slot[kind]
                     follow(
                         kind, rules.fusion, alarm[kind], dofs[kind, first], tb.V[kind, first], tb.member[kind, place], w[kind, place], z,

@@ -114,6 +114,8 @@ class FusionPipeline(Commanded):
                 return fused_block(out, o, recalls)
             if code == K.NEED_TABLE:
                 self._methods.make(self._state)
+            elif code == K.NEED_DRIFT:
+                self._methods.compensate(self._state)
             elif code == K.RESTART:
                 self._restart(int(block.stamp[k]))
             elif code == K.COMMAND:
@@ -186,7 +188,7 @@ class FusionPipeline(Commanded):
         valid = [(1 << self.n) - 1]
         other.process([0], [0], np.zeros((1, self.n)), np.zeros((1, self.n)), valid, valid)
         other.reject_length(1, 1, 0, 0)
-        self._methods.compensation.warm_up()
+        self._methods.warm_up()
 
     def _after_sample(self, code: int) -> None:
         st = self._state
@@ -327,9 +329,7 @@ class FusionPipeline(Commanded):
         st, machine = self._state, self._machines[kind][index]
         self._health[kind] = None
         if st.base[kind, index] != machine.in_use:  # the filter goes over to the other set at the next sample
-            self._methods.compensation.go_over(kind, st.glr[kind])
-            if machine.in_use:
-                self._methods.drifts.begin(st.drift, kind, index)
+            self._methods.other_set(st, kind, index, machine.in_use)
         st.base[kind, index] = machine.in_use
         st.judged[kind, index] = machine.state in (HealthState.ISOLATED, HealthState.PROBATION)
         st.wake[:, kind, index] = machine.wakes_at_ns()

@@ -13,7 +13,7 @@ import numpy as np
 from riins_fdi.health import HealthState
 from riins_fdi.parity import Capability
 from riins_imu_fusion.config import KINDS
-from riins_imu_fusion.selection import Selection
+from riins_imu_fusion.selection import CAUTION, Selection
 from riins_imu_fusion.types import FdiStatus, Reason, TriadStatus
 
 Fields = dict[str, Any]
@@ -61,7 +61,10 @@ def diagnosis(status: FdiStatus, alive: bool, selection: Selection) -> list[tupl
         level, message = "error", "no solution: too few usable axes"
     else:
         level, message = "ok", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in refused.items()) or "all samples fused"
-    reports = [("imu_fusion", level, message, {**counters, **selection._asdict()})]
+    values: dict[str, Any] = {**counters, **selection._asdict()}
+    if selection.fusion in CAUTION:
+        values["caution"] = CAUTION[selection.fusion]
+    reports = [("imu_fusion", level, message, values)]
     for kind, triad in zip(KINDS, (status.gyro, status.accel), strict=True):
         reports.append((f"imu_fusion: {kind}", *_diagnose_triad(kind, triad)))
     return reports

@@ -16,10 +16,11 @@ from riins_fdi.parity import glt_threshold
 from riins_imu_fusion import state as K
 from riins_imu_fusion.compensation import Compensation
 from riins_imu_fusion.config import KINDS, FusionConfig
-from riins_imu_fusion.corrections import FUSION
+from riins_imu_fusion.corrections import FUSION, IRFDC, RFDC
 from riins_imu_fusion.drifts import Drifts
 from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.noise_watch import NoiseWatch
+from riins_imu_fusion.rfdc import Rfdc
 from riins_imu_fusion.selection import Selection
 from riins_imu_fusion.sequences import SEQUENTIAL_TESTS, Sequences, forget
 from riins_imu_fusion.tables import TableCache
@@ -42,7 +43,7 @@ class Methods:
     ----------
     selection : in force
     rules, cache : for the loop
-    compensation, drifts, watch : the filters of glr_kf, those of the other methods, the noise estimation
+    compensation, drifts, rfdc, watch : the filters of glr_kf, of opt, aopt and optdc, of rfdc and irfdc, the noise estimation
     window_ends : stamp at which the window of the noise estimation ends
     """
 
@@ -54,6 +55,7 @@ class Methods:
         self._sequences = Sequences(config.sequence, n, config.rate_hz, 2.0 / pfa)
         self.compensation = Compensation(config)
         self.drifts = Drifts(config)
+        self.rfdc = Rfdc(array, config.drift.rfdc, config.sigma(), config.rate_hz)
         self.watch = NoiseWatch(array, config.noise, config.sigma())
         self.cache = TableCache(array, self.watch.stated, config.total_sigma(), pfa, PARITY_TESTS[config.parity_test])
         self.rules = K.Rules(
@@ -83,6 +85,7 @@ class Methods:
         """Memory before the first sample."""
         self.window_ends = ALWAYS_NS if self.watch.window_ns else NEVER_NS
         sequence = self._sequences.fresh(self.rules.sequential)
+        self.rfdc.fresh()
         state = K.fresh_state(self.rules.H.shape[0], self._records, self.compensation.fresh(), self.drifts.fresh(), sequence, self.watch.fresh())
         state.clock[K.NEXT_COMMAND] = ALWAYS_NS
         return state
@@ -99,6 +102,7 @@ class Methods:
         self._select(selection)
         state = state._replace(sequence=self._sequences.fresh(self.rules.sequential))
         if selection.fusion != before.fusion:
+            self.rfdc.fresh()
             return state._replace(drift=self.drifts.fresh(), glr=self.compensation.fresh())
         if self.cache.sigma is not noise:
             self.compensation.go_on(state.glr)
@@ -114,6 +118,23 @@ class Methods:
         else:
             bias = (self._config.gyro_bias_sigma, self._config.accel_bias_sigma)[kind]
             self._sequences.begin(state.sequence, self.rules.sequential, kind, self.cache.test(kind, mask), self.cache.white(kind, mask), bias)
+
+    def other_set(self, state: K.State, kind: int, index: int, in_use: bool) -> None:
+        """A sensor is in use from now on, or no longer: the filters go over to the other set."""
+        self.compensation.go_over(kind, state.glr[kind])
+        self.rfdc.begin(kind)
+        if in_use:
+            self.drifts.begin(state.drift, kind, index)
+
+    def compensate(self, state: K.State) -> None:
+        """Say what rfdc or irfdc takes out of the sample at hand."""
+        self.rfdc.step(state, self.cache.tables, self.rules.fusion == IRFDC)
+
+    def warm_up(self) -> None:
+        """Compile or load what the loop asks for."""
+        self.compensation.warm_up()
+        if self.rules.fusion >= RFDC:
+            self.rfdc.warm_up()
 
     def end_window(self, state: K.State, stamp_ns: int) -> list[tuple[str, int, str]]:
         """End the window of the noise estimation if a sample of `stamp_ns` is beyond it; what is to be said: kind, sensor, text."""

@@ -16,8 +16,11 @@ from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.corrections import FUSION
 from riins_imu_fusion.judges import PARITY_TESTS
 from riins_imu_fusion.known_bias import Calibration
+from riins_imu_fusion.rfdc import too_few_or_many
 from riins_imu_fusion.sequences import SEQUENTIAL_TESTS
 
+CAUTION = dict.fromkeys(("rfdc", "irfdc"), "whose drift it is is a guess, and one that looks like a body rate stays in")
+"""What an operator should know of some fusion methods."""
 CHOICES = {"fusion": tuple(FUSION), "parity_test": tuple(PARITY_TESTS), "sequential_test": tuple(SEQUENTIAL_TESTS)}
 
 
@@ -32,7 +35,8 @@ class Selection(NamedTuple):
     def text(self) -> str:
         """For an operator."""
         noise = "estimated" if self.adapt_noise else "stated"
-        return f"fusion {self.fusion}, parity test {self.parity_test}, sequential test {self.sequential_test}, noise as {noise}"
+        caution = f" ({CAUTION[self.fusion]})" if self.fusion in CAUTION else ""
+        return f"fusion {self.fusion}{caution}, parity test {self.parity_test}, sequential test {self.sequential_test}, noise as {noise}"
 
 
 def refusal(fusion: str, parity_test: str, sequential_test: str, n: int) -> str:
@@ -42,7 +46,7 @@ def refusal(fusion: str, parity_test: str, sequential_test: str, n: int) -> str:
             return f'no {word.replace("_", " ")} "{name}"{nearest(name, CHOICES[word])}: {", ".join(CHOICES[word])}'
     if parity_test == "direct_comparison" and n > MOST_RELATED:
         return f"direct_comparison takes at most {MOST_RELATED} sensors, not {n}"
-    return ""
+    return too_few_or_many(fusion, n) if fusion in CAUTION else ""
 
 
 class UseSensor(NamedTuple):

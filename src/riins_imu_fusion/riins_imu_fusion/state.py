@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_fdi.health import NEVER_NS
+from riins_fdi.health import ALWAYS_NS, NEVER_NS
 from riins_imu_fusion.glr_kf_state import GlrRules, GlrState
 from riins_imu_fusion.sequences import SequenceState
 
@@ -21,7 +21,7 @@ U = NDArray[np.uint64]
 B = NDArray[np.bool_]
 
 # why fuse_samples came back
-DONE, EVENT, TICK, RESTART, COMMAND, NEED_TABLE = 0, 1, 2, 4, 8, 16
+DONE, EVENT, TICK, RESTART, COMMAND, NEED_TABLE, NEED_DRIFT = 0, 1, 2, 4, 8, 16, 32
 # verdicts
 NONE, GOOD, BAD = 0, 1, 2
 # alarms
@@ -29,8 +29,8 @@ QUIET, RESOLVED, UNRESOLVED = 0, 1, 2
 # reasons, as types.Reason
 PARITY, STUCK, NOT_FINITE, SATURATED, INVALID = 1, 2, 3, 4, 5
 # elements of State.clock
-LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION = 0, 1, 2, 3, 4, 5
-CLOCK_SIZE = 6
+LAST, HAVE, SEQUENCE, NEXT_COMMAND, FORCE_STATUS, SOLUTION, COMPENSATED = 0, 1, 2, 3, 4, 5, 6
+CLOCK_SIZE = 7
 # elements of Past.place
 OPEN, FILLED, NEWEST = 0, 1, 2
 # what is missing, State.need[1]
@@ -131,11 +131,17 @@ class Past(NamedTuple):
 
 
 class DriftState(NamedTuple):
-    """Memory of opt, aopt and optdc, leading axis 2."""
+    """Memory of opt, aopt and optdc, and what rfdc and irfdc say of the sample at hand, leading axis 2."""
 
     vec: F  # (2, 4, n), drift left in the readings, variance of its step, part taken out of them, sum of that part's absolute steps
     P: F  # (2, n, n), covariance of the drift
     past: F  # (2, 2), trace of the innovation covariance, samples so far: aopt
+    spread: F  # (2, 3, 3), covariance of the fused sample from what is left of the drifts: rfdc, irfdc
+
+    @classmethod
+    def of(cls, n: int) -> DriftState:
+        """Zeros for n sensors."""
+        return cls(np.zeros((2, 4, n)), np.zeros((2, n, n)), np.zeros((2, 2)), np.zeros((2, 3, 3)))
 
 
 class NoiseState(NamedTuple):
@@ -199,6 +205,7 @@ def fresh_state(n: int, records: int, glr: tuple[GlrState, GlrState], drift: Dri
     clock = whole(CLOCK_SIZE)
     clock[NEXT_COMMAND] = NEVER_NS
     clock[SOLUTION] = 1
+    clock[COMPENSATED] = ALWAYS_NS
     return State(
         clock=clock,
         counts=whole(COUNTS_SIZE),

@@ -264,7 +264,7 @@ def test_a_method_is_changed_at_its_stamp() -> None:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (("glrkf", "", ""), 'no fusion "glrkf" (did you mean "glr_kf"?): wls, glr_kf, opt, aopt, optdc'),
+        (("glrkf", "", ""), 'no fusion "glrkf" (did you mean "glr_kf"?): wls, glr_kf, opt, aopt, optdc, rfdc, irfdc'),
         (("", "gtl", ""), 'no parity test "gtl" (did you mean "glt"?)'),
         (("", "", "sprt"), 'no sequential test "sprt": none, cusum, glr'),
     ],
