@@ -1,7 +1,7 @@
 """The Kalman filter: discretization, prediction, and one update that returns the standardized innovation.
 
 Lives here: `predict`, `update` (Joseph form), `update_joseph` (kernel), van Loan's discretization, the information form.
-Does not live here: models (ins_error.py), gates on the innovation (riins_fdi.innovation), fusion of filters (riins_federated.master).
+Does not live here: models (ins_error.py), gates on the innovation (riins_fdi.innovation), fusion of filters (riins_federated.structures).
 """
 
 from __future__ import annotations

@@ -12,10 +12,11 @@ from riins_core.settings import SettingError, section, setting
 
 from .inertial_model import InertialModel
 from .state_blocks import StateModel
+from .structure_settings import STRUCTURES, AidJudging, Sharing, SolutionSeparation
 
 
 @dataclass(frozen=True)
-class PositionAid:
+class PositionAid(AidJudging):
     """A GNSS receiver."""
 
     enabled: bool = setting(True, "use this subfilter")
@@ -32,7 +33,7 @@ class PositionAid:
 
 
 @dataclass(frozen=True)
-class VelocityAid:
+class VelocityAid(AidJudging):
     """A Doppler log."""
 
     enabled: bool = setting(True, "use this subfilter")
@@ -87,8 +88,12 @@ class NavigatorConfig:
     """Everything the navigator needs to know before it starts."""
 
     structure: str = setting(
-        "information", "information: exact master; fusion_reset: local filters, fused and reset", choices=("information", "fusion_reset")
+        "separated",
+        "separated: exact master, and masters that leave aids out, whose solutions are compared; information: exact master; fusion_reset, no_reset, "
+        "partial: local filters that keep none, all or a part of themselves when they are fused",
+        choices=STRUCTURES,
     )
+    retention: float = setting(0.5, "partial: the part of its information that a local filter keeps", "", 0.0, 1.0)
     max_delay_s: float = setting(
         2.0, "a measurement later than this, by IMU time, is counted and dropped; an IMU stamp that jumps by more restarts the run", "s", 0.05, 600.0
     )
@@ -108,6 +113,8 @@ class NavigatorConfig:
     doppler: VelocityAid = section(VelocityAid, "Doppler log")
     height: HeightAid = section(HeightAid, "mean height")
     isolation: Isolation = section(Isolation, "fault test")
+    separation: SolutionSeparation = section(SolutionSeparation, "separation of solutions")
+    sharing: Sharing = section(Sharing, "information shares")
     validity: ValidityLimits = section(ValidityLimits, "validity flags")
 
     def __post_init__(self) -> None:

@@ -1,13 +1,14 @@
 """Strapdown, master and subfilters in one object that can be stopped, copied and taken back.
 
 Lives here: `IntegratedFilter`: integrate samples, propagate, judge aids, feed back, say the solution.
-Does not live here: what happens when (navigator.py), the models (aiding.py, error_filter.py), the structures (master.py).
+Does not live here: what happens when (navigator.py), the models (aiding.py, error_filter.py), the structures (structures.py).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,17 +16,19 @@ from riins_core import ins_error
 from riins_core.ins_error import PHI, VEL, State
 from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
 from riins_core.strapdown import strapdown_block
+from riins_fdi.eraim import cross_check
 from riins_fdi.health import Change
 
-from .aiding import HeightModel, Pose, PositionModel, VelocityModel
+from .aiding import HeightModel, Measurement, Pose, PositionModel, VelocityModel
+from .assembly import make_structure
 from .config import NavigatorConfig
 from .error_filter import gather, transition
 from .local_filter import LocalFilter
-from .master import FusionReset, InformationMaster, Master
 from .sample_noise import SampleNoise
 from .solution import body_rate, solution
 from .state_blocks import N_FED_BACK, StateModel
-from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall
+from .structures import Structure
+from .types import Aid, Array, InitialState, Judged, Mode, NavSolution, Recall, SubfilterReport, TakenOut
 
 VERTICAL = [int(State.POS_D), int(State.VEL_D)]
 
@@ -69,6 +72,7 @@ class IntegratedFilter:
     subfilters : LocalFilter for each aid that is enabled
     states : the assembled error state
     running : it has an initial state
+    cross_check : statistic and threshold of the satellite receivers against each other, 0 before they measured at one sample
     """
 
     def __init__(self, config: NavigatorConfig) -> None:
@@ -87,7 +91,11 @@ class IntegratedFilter:
             model.place(self.states)
         self.subfilters = [LocalFilter(name, model, config.isolation, getattr(config, name).timeout_s) for name, model in models.items()]
         self._motion: _Motion | None = None
-        self._master: Master = InformationMaster(np.zeros((self.states.n, self.states.n)), 1)
+        self._aids = [getattr(config, name) for name in models]
+        self._receivers = [i for i, local in enumerate(self.subfilters) if isinstance(local.model, PositionModel)]
+        self._structure: Structure = make_structure(config, np.zeros((self.states.n, self.states.n)), self._aids)
+        self._fixes: dict[int, Measurement] = {}  # of the receivers, at the newest sample
+        self.cross_check = (0.0, 0.0)
         self._Phi, self._Qd = np.empty((self.states.n, self.states.n)), np.empty((self.states.n, self.states.n))
 
     @property
@@ -108,7 +116,7 @@ class IntegratedFilter:
     @property
     def beta(self) -> Array:
         """Information shares of the subfilters."""
-        return self._master.beta
+        return self._structure.beta
 
     def start(self, initial: InitialState) -> None:
         """Begin at an initial state, forgetting what was estimated before."""
@@ -133,8 +141,8 @@ class IntegratedFilter:
             reset_count=before.reset_count + 1 if before else 0,
         )
         P0 = self.states.initial_covariance(initial)
-        shares = len(self.subfilters) + 1  # the mean height is the last one's
-        self._master = FusionReset(P0, shares) if self._config.structure == "fusion_reset" else InformationMaster(P0, shares)
+        self._structure = make_structure(self._config, P0, self._aids)
+        self._fixes, self.cross_check = {}, (0.0, 0.0)
 
     def stop(self) -> None:
         """Forget the run; counts and the operator's exclusions stay."""
@@ -170,7 +178,7 @@ class IntegratedFilter:
             s = self.states
             transition(m.nav, m.sums, m.swing, s.density, s.decay, s.column, s.factor, self._Phi, self._Qd)
             self._sample_noise.add(m.noise, m.sums[3:12].reshape(3, 3) / m.sums[12], float(m.sums[12]), self._Qd)
-            self._master.predict(self._Phi, self._Qd)
+            self._structure.predict(self._Phi, self._Qd)
             m.parameters *= self._Phi.diagonal()[N_FED_BACK:]  # what is estimated of a Markov process fades as the process does
             m.sums[:] = 0.0
             m.swing[:] = 0.0
@@ -179,30 +187,42 @@ class IntegratedFilter:
         """Test a measurement of subfilter `index`, not later than the newest sample, and fuse it if it passes."""
         local = self.subfilters[index]
         measurement = local.model.measurement(aid, self._pose(aid.stamp_ns), self._running().parameters)
-        judged, change = local.judge(aid.stamp_ns, measurement, self._master.x, self._master.P)
-        if judged.accepted:
-            self._master.update(index, measurement)
+        verdict = self._structure.judge(index, measurement)
+        judged, change = local.judge(aid.stamp_ns, verdict, self._structure.separated(index))
+        self._structure.take(index, verdict, judged.accepted)
+        if index in self._receivers:
+            self._fixes[index] = verdict.measurement
         return judged, change
 
     def fuse_height(self) -> None:
-        """Fuse the known mean height."""
-        self._master.update(len(self.subfilters), self._height.measurement(self._pose(self.stamp_ns)))
+        """Fuse the known mean height, in every master."""
+        self._structure.add(self._height.measurement(self._pose(self.stamp_ns)))
 
-    def feed_back(self) -> None:
-        """Correct the nominal state by the estimate, which is zero afterwards; a correction beyond one sigma is a reset."""
-        x = self._master.x.copy()
+    def close(self) -> list[TakenOut]:
+        """End of what is judged at one sample: the solutions are compared, and what a faulty aid has put in is taken out; announced as a reset."""
+        self._check_receivers()
+        out = []
+        for one in self._structure.close():
+            local = self.subfilters[one.index]
+            self._announce(one.jump)
+            out.append(TakenOut(self.stamp_ns, local.name, local.take_out(self.stamp_ns), one.statistic, one.threshold, self._running().reset))
+        return out
+
+    def feed_back(self, announced: bool = False) -> None:
+        """Correct the nominal state by the estimate, which is zero afterwards; a correction beyond one sigma is a reset, unless it is announced."""
+        x = self._structure.x.copy()
         if not x.any():
             return
-        self._shift(x)
-        self._master.shift(x)
+        self._shift(x, announced)
+        self._structure.shift(x)
 
     def damp_vertical(self) -> None:
         """Correct height and vertical velocity of the nominal state alone: without aids they run away, e-fold in ten minutes, and it with them."""
         x = np.zeros(self.states.n)
-        x[VERTICAL] = self._master.x[VERTICAL]
+        x[VERTICAL] = self._structure.x[VERTICAL]
         if x.any():
             self._shift(x)
-            self._master.shift(x)
+            self._structure.shift(x)
 
     def recall(self, recall: Recall) -> None:
         """Take out of the nominal state what declared sensors have put in; the aids' corrections since, and the position, stay."""
@@ -212,15 +232,28 @@ class IntegratedFilter:
         x[VEL] = C_nb @ recall.velocity
         self._shift(x)
 
-    def _shift(self, x: Array) -> None:
+    def _shift(self, x: Array, announced: bool = False) -> None:
         """Subtract errors from the nominal state; beyond one sigma it is a reset."""
-        m, P = self._running(), self._master.P
+        m, P = self._running(), self._structure.P
         self.states.correct(m.nav, m.parameters, x)
         ins_error.correct(m.nav_before, x[:N_FED_BACK])
         position, velocity, heading = math.hypot(x[0], x[1]), math.hypot(x[3], x[4]), abs(x[8])
-        if position**2 > P[0, 0] + P[1, 1] or velocity**2 > P[3, 3] + P[4, 4] or heading**2 > P[8, 8]:
-            m.reset_count += 1
-            m.reset = (position, velocity, float(x[8]))
+        if not announced and (position**2 > P[0, 0] + P[1, 1] or velocity**2 > P[3, 3] + P[4, 4] or heading**2 > P[8, 8]):
+            self._announce(x)
+
+    def _announce(self, x: Array) -> None:
+        """Count a reset by which x is subtracted from the solution."""
+        m = self._running()
+        m.reset_count += 1
+        m.reset = (math.hypot(x[0], x[1]), math.hypot(x[3], x[4]), float(x[8]))
+
+    def _check_receivers(self) -> None:
+        """Satellite receivers that measured at one sample against each other; of more than two the pair that is furthest apart."""
+        fixes = [(one.z[:2], one.R[:2, :2]) for one in self._fixes.values()]
+        self._fixes = {}
+        pairs = [(*fixes[i], *fixes[j]) for i in range(len(fixes)) for j in range(i)]
+        if pairs:
+            self.cross_check = max(cross_check(*pair, self._config.isolation.false_alarm_probability)[:2] for pair in pairs)
 
     def mode(self) -> Mode:
         """Navigating while some aid has been fused within its time-out, else coasting."""
@@ -238,26 +271,32 @@ class IntegratedFilter:
             self.states,
             m.rate[0],
             m.force[0],
-            self._master.x,
-            self._master.P,
+            self._structure.x,
+            self._structure.P,
             self.mode(),
             self._config.validity,
+            self._structure.protection(self._config.validity.integrity_risk),
             m.reset_count,
             m.reset,
         )
 
-    def snapshot(self) -> tuple[object, ...]:
+    def reports(self) -> tuple[SubfilterReport, ...]:
+        """State of the subfilters."""
+        beta = self.beta if self.running else np.zeros(len(self.subfilters))
+        return tuple(local.report(float(beta[i]), self._structure.watched(i)) for i, local in enumerate(self.subfilters))
+
+    def snapshot(self) -> tuple[Any, ...]:
         """All that `restore` needs."""
         motion = self._motion.copy() if self._motion else None
-        return motion, self._master, self._master.snapshot(), tuple(local.snapshot() for local in self.subfilters)
+        return motion, self._structure, self._structure.snapshot(), tuple(local.snapshot() for local in self.subfilters), self.cross_check
 
-    def restore(self, snapshot: tuple[object, ...]) -> None:
+    def restore(self, snapshot: tuple[Any, ...]) -> None:
         """Go back to a snapshot, which stays usable."""
-        motion, master, estimate, subfilters = snapshot
-        self._motion = motion.copy() if motion else None  # type: ignore[attr-defined]
-        self._master = master  # type: ignore[assignment]
-        self._master.restore(estimate)  # type: ignore[arg-type]
-        for local, part in zip(self.subfilters, subfilters, strict=True):  # type: ignore[call-overload]
+        motion, self._structure, estimate, subfilters, self.cross_check = snapshot
+        self._motion = motion.copy() if motion else None
+        self._fixes = {}
+        self._structure.restore(estimate)
+        for local, part in zip(self.subfilters, subfilters, strict=True):
             local.restore(part)
 
     def _running(self) -> _Motion:

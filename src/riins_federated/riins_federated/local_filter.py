@@ -1,7 +1,7 @@
 """One subfilter: the aid's measurement model, its innovation test, its health and its counts.
 
-Lives here: `LocalFilter`, which judges a measurement against the fused state and says whether it may be fused, and why not.
-Does not live here: the measurement models (aiding.py), the health machine and the thresholds (riins_fdi), the fusion (master.py).
+Lives here: `LocalFilter`, which takes the verdict of the tests on a measurement and says whether it may be fused, and why not.
+Does not live here: the measurement models (aiding.py), the tests and the fusion (structures.py), the health machine (riins_fdi).
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from riins_core import kalman
 from riins_fdi.health import SUBFILTER_CODE, Change, HealthConfig, HealthMachine, HealthState
-from riins_fdi.innovation import nis_threshold
 
-from .aiding import Measurement, PositionModel, VelocityModel, reported_covariance_ok
+from .aiding import PositionModel, VelocityModel, reported_covariance_ok
 from .config import Isolation
-from .types import Aid, Array, Judged, Reason, SubfilterReport
+from .structures import Verdict, Watched
+from .types import Aid, Judged, Reason, SubfilterReport
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class _Last:
     information: tuple[float, float] = (0.0, 0.0)
     accepted: int = 0
     rejected: int = 0
+    accepted_before_ns: int = 0
 
 
 class LocalFilter:
@@ -55,7 +55,6 @@ class LocalFilter:
         self.late = 0
         self.malformed = 0
         self.no_fix = 0
-        self._false_alarm_probability = isolation.false_alarm_probability
         self._health = HealthMachine(
             HealthConfig(
                 isolate_count=isolation.isolate_after,
@@ -80,42 +79,51 @@ class LocalFilter:
             return Reason.NOT_FINITE
         return Reason.NONE if reported_covariance_ok(aid.R, rows) else Reason.COVARIANCE
 
-    def judge(self, stamp_ns: int, measurement: Measurement, x: Array, P: Array) -> tuple[Judged, Change | None]:
-        """Test a measurement against the fused state and step the health machine.
+    def judge(self, stamp_ns: int, verdict: Verdict, separated: bool) -> tuple[Judged, Change | None]:
+        """Step the health machine by a verdict.
 
         Parameters
         ----------
         stamp_ns : measurement time
-        measurement : z, H, R against the nominal state
-        x, P : (n,), (n, n), fused error state
+        verdict : of the structure's tests
+        separated : the structure keeps the aid out
 
         Returns
         -------
-        the verdict, and the change of health if there was one
+        what is said of the measurement, and the change of health if there was one
         """
-        innovation = kalman.innovation(x, P, measurement.z, measurement.H, measurement.R)
-        threshold = nis_threshold(self._false_alarm_probability, len(innovation.z))
-        good = bool(innovation.nis <= threshold)  # a NaN is not good
-        change = self._health.step(stamp_ns, good, Reason.NIS)
-        accepted = good and self._health.in_use
-        reason = Reason.NONE if accepted else Reason.NIS if not good else self._held()
-        information = (0.0, 0.0)
-        if accepted:
-            matrix = measurement.H.T @ np.linalg.solve(measurement.R, measurement.H)
-            information = (float(np.trace(matrix[0:3, 0:3])), float(np.trace(matrix[3:6, 3:6])))
+        if verdict.alarm and self._health.in_use:
+            change = self._health.isolate(stamp_ns, Reason.INNOVATIONS)
+        else:
+            failed = Reason.INNOVATIONS if verdict.alarm else Reason.NIS
+            change = self._health.step(stamp_ns, verdict.passed, failed, confirmed=not separated)
+        accepted = verdict.passed and self._health.in_use and not separated
+        reason = Reason.NONE
+        if not accepted:
+            reason = Reason.INNOVATIONS if verdict.alarm else Reason.NIS if not verdict.passed else Reason.SEPARATION if separated else self._held()
         last = self._last
         self._last = _Last(
             stamp_ns,
             stamp_ns if accepted else last.accepted_ns,
-            innovation.nis,
-            threshold,
+            verdict.statistic,
+            verdict.threshold,
             reason,
-            information,
+            (float(verdict.information[0]), float(verdict.information[1])) if accepted else (0.0, 0.0),
             last.accepted + accepted,
             last.rejected + (not accepted),
+            last.accepted_ns,
         )
-        sigma = np.sqrt(np.diag(innovation.S))
-        return Judged(stamp_ns, self.name, innovation.z, sigma, innovation.standardized, innovation.nis, threshold, accepted, reason), change
+        told = verdict.innovation, verdict.sigma, verdict.standardized, verdict.statistic, verdict.threshold
+        return Judged(stamp_ns, self.name, *told, accepted, reason), change
+
+    def take_out(self, stamp_ns: int) -> Change | None:
+        """The separation of solutions has found it faulty: what it had put in is out of the master, its measurement of this moment too."""
+        last = self._last
+        if last.reason is Reason.NONE and last.stamp_ns > 0:
+            self._last = replace(
+                last, reason=Reason.SEPARATION, accepted=last.accepted - 1, rejected=last.rejected + 1, accepted_ns=last.accepted_before_ns
+            )
+        return self._health.isolate(stamp_ns, Reason.SEPARATION)
 
     def watch(self, stamp_ns: int, started_ns: int) -> Change | None:
         """Declare the aid absent when its time-out has passed, by IMU time."""
@@ -149,7 +157,7 @@ class LocalFilter:
         self._health.restore_snapshot(snapshot[0])  # type: ignore[arg-type]
         self._last = snapshot[1]
 
-    def report(self, beta: float) -> SubfilterReport:
+    def report(self, beta: float, watched: Watched) -> SubfilterReport:
         """State and counts, for the status message."""
         last = self._last
         return SubfilterReport(
@@ -167,6 +175,7 @@ class LocalFilter:
             self.late,
             self.malformed,
             self.no_fix,
+            *watched,
         )
 
     def _held(self) -> Reason:

@@ -6,6 +6,8 @@ Does not live here: the journal's bookkeeping (timeline.py), what happens when (
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ import numpy as np
 from riins_fdi.health import SUBFILTER_CODE, Change
 
 from .timeline import Journal
-from .types import EventKind, InitialState, Judged, NavEvent, NavSolution, Reason, Recall
+from .types import EventKind, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, TakenOut
 
 FOREVER_NS = 2**63 - 1
 
@@ -67,6 +69,26 @@ class Logbook:
         text = f"{np.degrees(angle) * 60.0:.2f} arcmin and {velocity:.3g} m/s of isolated inertial sensors"
         since = f"since {(recall.stamp_ns - recall.onset_ns) * 1e-9:.1f} s"
         self._tell(recall.stamp_ns, f"recalled {text} {since}" if done else f"not recalled, it began before the run: {text}", EventKind.RECALLED)
+
+    def judged(self, seen: Iterable[tuple[Judged, Change | None]], taken_out: Sequence[TakenOut] = ()) -> None:
+        """Note verdicts with the changes of health they brought, and what was taken out: a measurement that went with it was not accepted."""
+        gone = {one.name: one for one in taken_out}
+        for judged, change in seen:
+            out = gone.get(judged.name)
+            if out is not None and judged.accepted:
+                judged = replace(judged, nis=out.statistic, threshold=out.threshold, accepted=False, reason=Reason.SEPARATION)
+            self.add(judged.stamp_ns, judged)
+            self.health(judged.name, change)
+        for out in taken_out:
+            self.taken_out(out)
+
+    def taken_out(self, out: TakenOut) -> None:
+        """Note that an aid was found faulty by the separation of solutions, and what it had put in."""
+        self.health(out.name, out.change)
+        position, velocity, heading = out.reset
+        moved = f"{position:.3g} m, {velocity:.3g} m/s, {abs(np.degrees(heading)) * 60.0:.3g} arcmin"
+        text = f"{out.name}: what it had put in is taken out, {moved} (separation {out.statistic:.1f}, threshold {out.threshold:.1f})"
+        self._journal.add(out.stamp_ns, NavEvent(out.stamp_ns, text, EventKind.TAKEN_OUT, out.name, None, Reason.SEPARATION))
 
     def health(self, name: str, change: Change | None) -> None:
         """Note a change of health of a subfilter, if there is one."""

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from riins_fdi.health import Change
+
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
 from .logbook import Logbook
@@ -210,10 +212,8 @@ class Navigator:
 
     def status(self) -> FederatedReport:
         """State of the subfilters and counts, as of the newest IMU sample."""
-        beta = self._filter.beta if self._filter.running else np.zeros(len(self._rank))
-        reports = tuple(local.report(float(share)) for local, share in zip(self._filter.subfilters, beta[: len(self._rank)], strict=True))
         counts = (self.imu_received, self.imu_lost, self.imu_rejected, self.restarts, self.rollbacks)
-        return FederatedReport(self._last_ns or 0, self._filter.mode(), reports, *counts)
+        return FederatedReport(self._last_ns or 0, self._filter.mode(), self._filter.reports(), *counts, *self._filter.cross_check)
 
     def finish(self) -> None:
         """End of the recording: everything is settled."""
@@ -339,16 +339,19 @@ class Navigator:
         flt.propagate()
         due = replace(due, covariance=stamp_ns + period.covariance)
         corrected = False
+        seen: list[tuple[Judged, Change | None]] = []
         while self._queue.head_ns() <= stamp_ns:
             stamp, rank, item = self._queue.take()
             if isinstance(item, Aid) and stamp <= flt.started_ns:
                 flt.subfilters[rank].refuse(Reason.NOT_READY)
-            elif isinstance(item, Aid):
-                judged, change = flt.judge(rank, item)
-                self._log.add(stamp, judged)
-                self._log.health(item.name, change)
-                corrected |= judged.accepted
-            elif isinstance(item, UseCommand):
+                continue
+            if isinstance(item, Aid):
+                seen.append(flt.judge(rank, item))
+                corrected |= seen[-1][0].accepted
+                continue
+            self._log.judged(seen)  # the log is in the order of stamps
+            seen = []
+            if isinstance(item, UseCommand):
                 self._log.health(item.name, flt.subfilters[self._rank[item.name]].use(stamp, item.use))
             elif isinstance(item, Recall):
                 self._recall(item)
@@ -359,8 +362,11 @@ class Navigator:
             flt.fuse_height()
             corrected = True
             due = replace(due, height=next_due(due.height, period.height, stamp_ns))
+        taken_out = flt.close()
+        corrected |= bool(taken_out)
+        self._log.judged(seen, taken_out)
         if (corrected and not period.feedback) or stamp_ns >= due.feedback:
-            flt.feed_back()
+            flt.feed_back(announced=bool(taken_out))
             due = replace(due, feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
         elif corrected:
             flt.damp_vertical()

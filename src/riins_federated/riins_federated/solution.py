@@ -1,4 +1,4 @@
-"""What the navigator says of its state: modes, validity flags, protection radius.
+"""What the navigator says of its state: modes and validity flags.
 
 Lives here: `solution`, which turns nominal state, error estimate and covariance into a NavSolution.
 Does not live here: the filter (integrated_filter.py), the message (riins_node.fields).
@@ -39,6 +39,7 @@ def solution(
     P: Array,
     mode: Mode,
     limits: ValidityLimits,
+    protection: tuple[float, float],
     reset_count: int,
     reset: tuple[float, float, float],
 ) -> NavSolution:
@@ -52,6 +53,7 @@ def solution(
     rate, force : (3,), last sample as it came, rad/s, m/s^2, FRD
     x, P : (n,), (n, n), estimated error state and covariance
     mode, limits, reset_count, reset : as in NavSolution
+    protection : radius [m] and heading [rad], see NavSolution
 
     Returns
     -------
@@ -64,7 +66,6 @@ def solution(
     roll, pitch, heading = euler_from_dcm(C_nb)
     bias_g, bias_a = states.biases(parameters)
     lon = (nav[1] + math.pi) % (2.0 * math.pi) - math.pi
-    major = horizontal_variance(P[0:2, 0:2])
     return NavSolution(
         stamp_ns,
         float(nav[0]),
@@ -80,7 +81,7 @@ def solution(
         P.copy(),
         mode,
         validity(P, float(nav[0]), mode, limits),
-        math.sqrt(nis_threshold(limits.integrity_risk, 2) * major),
+        *protection,
         reset_count,
         reset,
     )

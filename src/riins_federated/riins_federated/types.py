@@ -12,6 +12,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from riins_fdi.health import Change
+
 Array = NDArray[np.float64]
 
 
@@ -47,6 +49,7 @@ class Reason(IntEnum):
     SEPARATION = 8
     NOT_READY = 9
     DUPLICATE = 10
+    INNOVATIONS = 11
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,7 @@ class NavSolution:
     mode : Mode
     validity : (position, velocity, heading)
     protection_radius : m, horizontal, at the configured integrity risk
+    protection_heading : rad, at the same risk
     reset_count : corrections larger than one sigma, and re-initialisations
     reset : (position [m], velocity [m/s], heading [rad]) of the last of them
     """
@@ -186,6 +190,7 @@ class NavSolution:
     mode: Mode
     validity: tuple[Validity, Validity, Validity]
     protection_radius: float
+    protection_heading: float
     reset_count: int
     reset: tuple[float, float, float]
 
@@ -202,8 +207,8 @@ class Judged:
     stamp_ns, name : as in Aid
     innovation, sigma, standardized : (m,), measured - predicted, its 1 sigma, whitened by the Cholesky factor
     nis, threshold : dimensionless, chi-square with m degrees of freedom
-    accepted : it entered the navigation state
-    reason : Reason, NONE when accepted
+    accepted : it entered the navigation state, and was not taken out of it at once
+    reason : Reason, NONE when accepted; SEPARATION: nis and threshold are those of the separation
     """
 
     stamp_ns: int
@@ -217,6 +222,26 @@ class Judged:
     reason: Reason
 
 
+@dataclass(frozen=True)
+class TakenOut:
+    """What an aid had put in has been taken out of the solution.
+
+    Attributes
+    ----------
+    stamp_ns, name : of the sample at which the separation of solutions found it, and the aid
+    change : of its health, None where it was out of use already
+    statistic, threshold : of the separation
+    reset : (position [m], velocity [m/s], heading [rad]) by which the solution has changed
+    """
+
+    stamp_ns: int
+    name: str
+    change: Change | None
+    statistic: float
+    threshold: float
+    reset: tuple[float, float, float]
+
+
 class EventKind(IntEnum):
     """What a NavEvent is about; values as in NavEvent.msg."""
 
@@ -224,6 +249,7 @@ class EventKind(IntEnum):
     BEGUN = 1
     RESTARTED = 2
     RECALLED = 3
+    TAKEN_OUT = 4
 
 
 @dataclass(frozen=True)
@@ -248,7 +274,10 @@ class NavEvent:
 
 @dataclass(frozen=True)
 class SubfilterReport:
-    """State of one local filter; counters are exact for everything judged up to the newest IMU sample."""
+    """State of one local filter; counters are exact for everything judged up to the newest IMU sample.
+
+    separation, separation_threshold : of the solution without this aid from the solution, 0 where it is not tested
+    """
 
     name: str
     state: int
@@ -264,11 +293,16 @@ class SubfilterReport:
     late: int
     malformed: int
     no_fix: int
+    separation: float = 0.0
+    separation_threshold: float = 0.0
 
 
 @dataclass(frozen=True)
 class FederatedReport:
-    """State of the federated filter."""
+    """State of the federated filter.
+
+    cross_check, cross_check_threshold : of two satellite receivers against each other, the last time both measured at one IMU sample; 0: never
+    """
 
     stamp_ns: int
     mode: Mode
@@ -278,3 +312,5 @@ class FederatedReport:
     imu_rejected: int
     restarts: int
     rollbacks: int
+    cross_check: float = 0.0
+    cross_check_threshold: float = 0.0
