@@ -114,10 +114,11 @@ STUDIES: dict[str, Reproduction] = {
     ),
     "ship": Reproduction(
         "The ship with GPS, BDS and Doppler log",
-        "Section 3 of seed 003 in the damped platform form, every federated structure and fault test against the oracle.",
+        "Section 3 of seed 003 in the damped platform form, every federated structure and fault test against the oracle; the same in full strapdown.",
         (
             Chapter("riins_eval.studies.ship", "The voyage: outages, gross faults, accuracy against the oracle"),
             Chapter("riins_eval.studies.ship_faults", "Small and slow faults"),
+            Chapter("riins_eval.studies.ship_strapdown", "Full strapdown at 100 Hz in waves, through the whole navigator", 2.0),
         ),
         beside="paper",
         seeds=20,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure as Canvas
 
-from riins_eval.studies import innovations, ship, ship_faults, ship_figures
+from riins_eval.studies import innovations, ship, ship_faults, ship_figures, ship_strapdown
 from riins_eval.studies.ship_model import BEGIN, GPS, LOG, SEED_FAULTS, Fault, epoch_of, model, voyage
 
 
@@ -88,3 +88,20 @@ def test_innovation_rows() -> None:
     rows, figures = innovations.run(1, True, told.append)
     assert told[-1] == 1.0 and not figures
     assert all(row.ok for row in rows if row.target in (41, 44))
+
+
+def test_quick_voyages_end_before_the_faults() -> None:
+    short = ship_strapdown.shortened("voyage_12h", True, structure="fusion_reset")
+    assert short.duration_s == ship_strapdown.SHORT_S and not short.faults and short.navigator["structure"] == "fusion_reset"
+    assert all(outage.start_s < short.duration_s for outage in short.outages) and len(short.outages) == 3
+    assert ship_strapdown.shortened("voyage_12h", False).duration_s == 43200.0
+
+
+def test_verdicts_of_the_strapdown_voyages_follow_the_targets() -> None:
+    good = {f"{kind} ratio": 1.004 for kind in ("position", "velocity", "heading")} | {"good": 0.5, "faulty": 60.0, "fused": 0.0, "delay": 0.0}
+    good |= {"position": 9.0, "velocity": 0.04, "heading": 2.0, "nees": 1.0, "sigma": 0.7}
+    assert all(r.ok for r in ship_strapdown.rows([good, good], [3.0], (1e-6, 1e-7), False) if r.target is not None)
+    bad = good | {"position ratio": 1.04, "heading ratio": 1.06, "good": 2.0, "fused": 1.0, "delay": 10.0, "nees": 1.9, "sigma": 1.2}
+    missed = {(r.target, r.name) for r in ship_strapdown.rows([good, bad], [2.0], (1.0, 1e-7), False) if r.ok is False}
+    assert {target for target, _ in missed} == {20, 23, 24, 25, 29, 31}
+    assert "velocity RMS over the oracle's" not in {name for _, name in missed}
