@@ -34,7 +34,6 @@ CHEAP_S = 1800.0
 """A live run of at most this length is sailed again for its twins without being asked."""
 LONGEST_STEP_NS = 2_000_000_000
 """The reference is not interpolated over a longer gap."""
-SUBFILTERS = ("gps", "bds", "doppler")
 _STATE = (
     "header.stamp", "latitude", "longitude", "height", "velocity_north", "velocity_east", "velocity_down", "roll", "pitch", "heading", "mode",
     "protection_radius",

@@ -18,12 +18,28 @@ MOST_POINTS = 5000
 """Points of a trace at most; a 12 h run at 1 Hz has 43200."""
 
 INK, MUTED, ESTIMATE, REJECTED = "#1f2937", "#9ca3af", "#0072b2", "#d55e00"
-AID_COLORS = {"gps": "#e69f00", "bds": "#009e73", "doppler": "#cc79a7", "height": "#7c6fb0"}
+AID_COLORS = {
+    "gps": "#e69f00",
+    "bds": "#009e73",
+    "doppler": "#cc79a7",
+    "height": "#7c6fb0",
+    "odometer": "#56b4e9",
+    "altimeter": "#8c6d31",
+    "star_tracker": "#332288",
+}
 STATE_COLORS = {
     "healthy": "#b7dfc6", "suspect": "#f2cf3f", "isolated": "#d55e00", "probation": "#7cc4ec", "compensated": "#0072b2",
     "absent": "#9ca3af", "excluded": "#4b5563",
 }  # fmt: skip
-AID_NAMES = {"gps": "GPS", "bds": "BDS", "doppler": "Doppler log", "height": "mean height"}
+AID_NAMES = {
+    "gps": "GPS",
+    "bds": "BDS",
+    "doppler": "Doppler log",
+    "height": "mean height",
+    "odometer": "odometer",
+    "altimeter": "altimeter",
+    "star_tracker": "star sensor",
+}
 
 
 @dataclasses.dataclass

@@ -288,7 +288,7 @@ def _write_log(writer: RunWriter, scenario: Scenario, placed: _Placed, schedule:
     valid = _outages(scenario, "doppler", stamps)
     valid &= schedule.apply_aid("doppler", stamps, 1, v_b, lambda t: _before(t, stamps, recorded))
     covariance = np.diag((np.array(scenario.doppler.sigma_kn) * KNOT) ** 2)
-    writer.log(placed.start_ns + stamps, VelocityBlock(np.arange(1, len(stamps) + 1), stamps, v_b, covariance, valid))
+    writer.aid("doppler", placed.start_ns + stamps, VelocityBlock(np.arange(1, len(stamps) + 1), stamps, v_b, covariance, valid))
 
 
 def _within(placed: _Placed, t: Floats) -> NDArray[np.bool_]:

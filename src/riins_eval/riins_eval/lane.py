@@ -24,6 +24,10 @@ from .run_record import FAULT_TYPES, HEALTHY, FaultInterval, HealthChange, Judge
 
 Floats = NDArray[np.float64]
 
+_UNITS = {  # of faults that are not in metres, with their number in an SI unit
+    "gyro": (3600.0 * 180.0 / np.pi, "deg/h"), "accel": (1e6 / 9.80665, "ug"), "doppler": (1.0, "m/s"), "odometer": (1.0, "m/s"),
+    "star_tracker": (3600.0 * 180.0 / np.pi, "arcsec"),
+}  # fmt: skip
 _NEES = np.array([int(s) for s in metrics.NEES7])
 
 
@@ -180,8 +184,7 @@ def size_text(fault: Any) -> str:
         return "" if fault.axis == "all" else fault.axis
     if kind == "scale":
         return f"{100.0 * fault.size:g} %"
-    word = fault.target.split("_")[0]
-    scale, unit = {"gyro": (3600.0 * 180.0 / np.pi, "deg/h"), "accel": (1e6 / 9.80665, "ug"), "doppler": (1.0, "m/s")}.get(word, (1.0, "m"))
+    scale, unit = _UNITS.get(fault.target) or _UNITS.get(fault.target.split("_")[0], (1.0, "m"))
     if getattr(fault, "angular", False):
         scale, unit = 180.0 * 60.0 / np.pi, "arcmin"
     parts = [f"{fault.size * scale:.4g} {unit}"] if fault.size or kind != "ramp" else []

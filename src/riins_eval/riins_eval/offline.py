@@ -217,10 +217,7 @@ class _Voyage:
     ) -> None:
         writer.raw_imu(stamps, sequence, raw)
         for name, (aid_stamps, block) in aids.items():
-            if name == "doppler":
-                writer.log(aid_stamps, block)
-            else:
-                writer.position(name, aid_stamps, block)
+            writer.aid(name, aid_stamps, block)
         writer.fused_imu(fused, self.pipeline)
         period = TRUTH_PERIOD_NS if writer.raw else 1_000_000_000
         times = np.arange(first_ns // period + 1, last_ns // period + 1, dtype=np.int64) * period

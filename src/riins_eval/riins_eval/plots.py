@@ -251,7 +251,9 @@ def _nis_panel(name: str, judged: Judged, clock: _Clock, first: bool) -> Panel:
 
 def _health(record: RunRecord, clock: _Clock) -> Figure | None:
     sensors = [f"{kind}_{i}" for kind in ("gyro", "accel") for i in range(record.n_sensors)]
-    rows = sensors + [name for name in ("gps", "bds", "doppler") if name in record.judged or any(c.target == name for c in record.health)]
+    aids = dict.fromkeys([*AID_NAMES, *record.judged, *(c.target for c in record.health if not is_imu_sensor(c.target))])
+    aids.pop("height")  # known, not measured
+    rows = sensors + [name for name in aids if name in record.judged or any(c.target == name for c in record.health)]
     if not len(record.settled):
         return None
     panel = Panel("", rows=rows)

@@ -19,6 +19,7 @@ from riins_core.frames import LocalFrame
 from riins_imu_fusion.reporting import inertial_fdi
 from riins_imu_fusion.types import FdiStatus
 from riins_node import fields
+from riins_sim.further_sensors import AttitudeBlock, HeightBlock
 from riins_sim.sensors import PositionBlock, RawBlock, VelocityBlock
 from riins_sim.trajectory import Truth
 
@@ -35,8 +36,12 @@ FEDERATED, INERTIAL, FAULTS, INITIAL = (
 CALIBRATION = "riins_msgs/msg/InertialCalibration"
 REDUNDANT_IMU, FUSED_IMU = "riins_msgs/msg/RedundantImu", "riins_msgs/msg/FusedImu"
 ODOMETRY, FIX, TWIST = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistWithCovarianceStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 RAW_IMU, TWIN_TOPIC, ORACLE_TOPIC = "/rimu/raw", "/evaluation/twin", "/evaluation/oracle"
+
+
+AidBlock = PositionBlock | VelocityBlock | HeightBlock | AttitudeBlock
 
 
 class RunWriter:
@@ -101,11 +106,20 @@ class RunWriter:
             content = fields.velocity(stamp_ns[good], block.v_n[good], block.velocity_covariance)
             self._bag.write_block(f"/{name}/velocity", TWIST, stamp_ns[good], content, qos="aid")
 
-    def log(self, stamp_ns: Any, block: VelocityBlock) -> None:
-        """Measurements of the Doppler log; those without bottom lock are no messages."""
+    def aid(self, name: str, stamp_ns: Any, block: AidBlock) -> None:
+        """Measurements of any aid; those that are not valid are no messages, a receiver without a fix says so."""
+        if isinstance(block, PositionBlock):
+            self.position(name, stamp_ns, block)
+            return
         good = np.flatnonzero(block.valid)
-        content = fields.doppler(stamp_ns[good], block.v_b[good], block.covariance)
-        self._bag.write_block("/doppler/velocity", TWIST, stamp_ns[good], content, qos="aid")
+        stamps = stamp_ns[good]
+        if isinstance(block, VelocityBlock):
+            topic, kind, content = "velocity", TWIST, fields.doppler(stamps, block.v_b[good], block.covariance, f"{name}_link")
+        elif isinstance(block, HeightBlock):
+            topic, kind, content = "height", POSE, fields.height(stamps, block.h[good], block.variance, f"{name}_link")
+        else:
+            topic, kind, content = "attitude", POSE, fields.attitude(stamps, block.rph[good], block.covariance)
+        self._bag.write_block(f"/{name}/{topic}", kind, stamps, content, qos="aid")
 
     def truth(self, stamp_ns: Any, truth: Truth) -> None:
         """True states; epochs at which it is not known are left out."""

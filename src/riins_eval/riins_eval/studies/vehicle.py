@@ -188,7 +188,8 @@ class Outcome(NamedTuple):
 
 def isolation(seed: int) -> dict[str, dict[str, Outcome]]:
     """Every fault on every structure; all begin from the same drive to the onset."""
-    given, out = drive(seed), {}
+    given = drive(seed)
+    out: dict[str, dict[str, Outcome]] = {}
     for name, make in ISOLATING.items():
         before = make()
         steer(before, given, last=ONSET)
