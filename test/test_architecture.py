@@ -20,6 +20,7 @@ FLOORS = {
     "riins_sim": 2,
     "riins_fdi": 2,
     "riins_bag": 2,
+    "riins_nmea": 2,
     "riins_imu_fusion": 3,
     "riins_federated": 4,
     "riins_eval": 5,
@@ -27,7 +28,7 @@ FLOORS = {
 }
 SAME_FLOOR = {("riins_node", "riins_core")}  # node plumbing stands on the mathematics' settings and frames
 ROS = re.compile(r"^(rclpy|rcl_interfaces|builtin_interfaces|ament_index_python|launch|launch_ros|lifecycle_msgs|rosgraph_msgs|\w+_msgs)(\.|$)")
-PIP = ("numba", "mcap", "rosbags", "zstandard", "typer", "rich", "plotly")  # no rosdep key on Ubuntu 24.04
+PIP = ("numba", "mcap", "rosbags", "zstandard", "typer", "rich", "plotly", "pynmeagps")  # no rosdep key on Ubuntu 24.04
 ROS_FREE_MODULES = {f"riins_node/{name}.py" for name in ("fields", "message_parts", "readings", "status_fields")}  # shared with the offline engine
 LONGEST, LONGEST_NODE = 420, 260  # lines
 MODULES = sorted(f for f in SRC.glob("riins_*/riins_*/**/*.py") if "__pycache__" not in f.parts)
@@ -118,7 +119,7 @@ def test_manifest_is_honest(package: str) -> None:
     for name in sorted(used - {package}):
         if name in FLOORS or ROS.match(name):
             assert name in declared, f"{package} imports {name} and does not declare it"
-    for name in ("numpy", "scipy", "yaml", "matplotlib", "jinja2"):
+    for name in ("numpy", "scipy", "yaml", "matplotlib", "jinja2", "serial"):
         assert (name in used) == (f"python3-{name}" in declared), f"{package}: {name} is imported or declared, not both"
     listed = (ROOT / "requirements.txt").read_text(encoding="utf-8")
     for name in sorted(used & set(PIP)):

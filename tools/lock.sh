@@ -7,7 +7,7 @@ trap 'rm -rf "$work"' EXIT
 cat runtime.in build.in >"$work/all.in"
 for version in 3.11 3.12; do
     cp "lock-$version.txt" "$work/"
-    (cd "$work" && uv pip compile --quiet --generate-hashes --no-header --no-emit-index-url --no-emit-find-links \
+    (cd "$work" && uv pip compile --quiet --generate-hashes --no-header \
         --python-version "$version" --python-platform linux --output-file "lock-$version.txt" all.in)
     cp "$work/lock-$version.txt" .
 done

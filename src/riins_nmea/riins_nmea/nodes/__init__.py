@@ -1,0 +1,1 @@
+"""The ROS nodes of this package: parameters in, messages out, no mathematics."""
