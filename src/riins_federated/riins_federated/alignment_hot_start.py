@@ -1,6 +1,6 @@
-"""Hot start: the heading saved at switching off, with the level found anew, and both judged by what the gyros say.
+"""Hot start: a heading saved at switching off, or known otherwise, with the level found anew, and both judged by what the gyros say.
 
-Lives here: `SavedHeading`, `hot_start`. A ship that was turned at her berth meanwhile is refused, not started with a wrong heading.
+Lives here: `SavedHeading`, `hot_start`, `align_known_heading`. A ship that was turned meanwhile is refused, not started with a wrong heading.
 Does not live here: where the heading is kept between runs, alignment from nothing (riins_core.alignment).
 """
 
@@ -14,16 +14,20 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from riins_core.alignment.coarse import check_still, triad
-from riins_core.alignment.result import Alignment, AlignmentError, bias_covariance, check_latitude
+from riins_core.alignment.inertial_frame import body_integrals
+from riins_core.alignment.result import Alignment, AlignmentError, TooSoon, bias_covariance, check_latitude
 from riins_core.alignment.stationary import ImuNoise
+from riins_core.alignment.stored import Aids, Pass, Start, check_biases, prior, run_stored
 from riins_core.alignment.swaying import align_swaying
 from riins_core.kalman import update
-from riins_core.rotation import euler_from_dcm, exp_so3
+from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3
 
 Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-4
 """Probability with which a right saved heading is refused."""
+LEVEL = math.radians(1.5)
+"""1-sigma error of a level that is the mean direction of the specific force, waves and changes of speed included."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,3 +91,80 @@ def hot_start(rate: Array, force: Array, dt: float, lat: float, imu: ImuNoise, s
         )
     phi, P, _ = update(np.zeros(3), P, np.array([difference]), np.array([[0.0, 0.0, 1.0]]), np.array([[variance]]))
     return Alignment("hot start", exp_so3(phi) @ C, P, total)
+
+
+def align_known_heading(
+    rate: Array,
+    force: Array,
+    dt: float,
+    place: tuple[float, ...],
+    imu: ImuNoise,
+    aids: Aids,
+    known: SavedHeading,
+    place_m: float,
+) -> Pass:
+    """Attitude of a ship that moves and whose heading at the beginning is known: of two antennas, a compass, or saved.
+
+    Parameters
+    ----------
+    rate, force : (m, 3), body rate [rad/s] and specific force [m/s^2], means over dt
+    dt : s
+    place : latitude, longitude [rad], height [m] at the start
+    imu : noise and biases of an axis
+    aids : the place where she stays, or velocities
+    known : heading at the beginning of the data
+    place_m : 1-sigma error of the place, m
+
+    Returns
+    -------
+    Pass over the data, the known heading in its prior
+
+    Raises
+    ------
+    AlignmentError
+        Too few data (`TooSoon`); not finite; beyond 85 deg; aids that do not fit the IMU; biases it cannot have; or a heading that the gyros move by
+        more than chance allows.
+
+    Notes
+    -----
+    The first pass levels, from the mean direction of the specific force in the first body; the second begins from that level and the known heading
+    again, so that what is known counts once. It serves gyros too coarse for the Earth rate as well.
+    """
+    check_latitude(place[0])
+    if not (math.isfinite(known.heading) and known.sigma > 0.0 and known.swing >= 0.0):
+        raise AlignmentError("the known heading is not finite, or has no standard deviation")
+    m = len(rate)
+    if m * dt < 10.0 or len(aids.index) < 2:
+        raise TooSoon(f"{m * dt:.3g} s of data with {len(aids.index)} measurements are not enough to level")
+    if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(force)) and np.all(np.isfinite(aids.value))):
+        raise AlignmentError("the IMU data or velocities contain values that are not finite")
+    _, pushed = body_integrals(rate, force, dt, min(m, round(60.0 / dt)))
+    up = pushed[1] / np.linalg.norm(pushed[1])
+    roll, pitch = math.atan2(-up[1], -up[2]), math.asin(max(-1.0, min(1.0, float(up[0]))))
+    sigma = math.hypot(known.sigma, known.swing)
+    first = dcm_from_euler(roll, pitch, known.heading)
+    v = np.zeros(3) if aids.kind == "place" else aids.value[0] if aids.kind == "velocity" else first @ aids.value[0]
+    run: Pass | None = None
+    for level in (LEVEL, 0.3 * LEVEL):
+        P = prior(place_m, 1.0 if aids.kind == "place" else 2.0 * float(np.max(aids.sigma)) + 0.1, level, sigma, imu)
+        run = run_stored(rate, force, dt, Start(place[0], place[1], place[2], v, first, P), imu, aids)
+        if run.refused > 0.1 * len(aids.index) + 1:
+            raise AlignmentError(
+                f"{run.refused} of {len(aids.index)} measurements do not fit the IMU and the heading: she was turned, or a sensor is broken"
+            )
+        back = run.C_end @ body_integrals(rate - run.bias_g, force, dt, m)[0][1].T  # n turns by arcminutes meanwhile: less than the level is known to
+        roll, pitch = (float(a) for a in euler_from_dcm(back)[:2])
+        moved = math.remainder(float(euler_from_dcm(back)[2]) - known.heading, 2.0 * math.pi)
+        if aids.kind == "place":  # half as much again as she was seen to swing
+            swing = float(np.max(aids.sigma))
+            swing = min(swing, max(0.1, 1.5 * swing * math.sqrt(float(np.mean(run.nis)) / 3.0)))
+            aids = dataclasses.replace(aids, sigma=np.full(3, swing))
+        first = dcm_from_euler(roll, pitch, known.heading)
+    assert run is not None
+    check_biases(run, imu)
+    limit = math.sqrt(chi2.isf(FALSE_ALARM, 1)) * math.sqrt(max(sigma**2 - run.P[8, 8], 0.0)) + math.radians(0.2)
+    if abs(moved) > limit:
+        raise AlignmentError(
+            f"the gyros put the heading {math.degrees(abs(moved)):.2f} deg off the known one, {math.degrees(limit):.2f} allowed: she was turned"
+        )
+    return run

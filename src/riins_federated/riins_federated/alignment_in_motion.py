@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core.alignment.inertial_frame import Fit, body_integrals, fit, navigation_turn
-from riins_core.alignment.result import Alignment, AlignmentError, check_latitude
+from riins_core.alignment.result import Alignment, AlignmentError, TooSoon, check_latitude
 from riins_core.alignment.stationary import ImuNoise
 from riins_core.alignment.stored import Aids, Pass, Start, check_biases, prior, run_stored, start_of_end
 from riins_core.earth import OMEGA_IE, earth_rate_n, gravity, transport_rate_n
@@ -129,7 +129,7 @@ def align_in_motion(
     rate, force = np.ascontiguousarray(rate, dtype=np.float64), np.ascontiguousarray(force, dtype=np.float64)
     total = len(rate) * dt
     if total < settings.shortest_s or len(aids.index) < 10 or (aids.index[-1] - aids.index[0]) * dt < 0.5 * settings.shortest_s:
-        raise AlignmentError(f"{total:.3g} s of data with {len(aids.index)} velocities are not enough: {settings.shortest_s:.0f} s are needed")
+        raise TooSoon(f"{total:.3g} s of data with {len(aids.index)} velocities are not enough: {settings.shortest_s:.0f} s are needed")
     if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(force)) and np.all(np.isfinite(aids.value))):
         raise AlignmentError("the IMU data or velocities contain values that are not finite")
     first = aids.index * dt <= settings.coarse_s
@@ -154,7 +154,7 @@ def align_in_motion(
     check_biases(found, imu)
     sigma = math.sqrt(found.P[8, 8])
     if not sigma <= math.radians(settings.heading_limit_deg):
-        raise AlignmentError(
+        raise TooSoon(
             f"the data do not give the heading: 1-sigma {math.degrees(sigma):.2g} deg after {total:.0f} s; better gyros, changes of velocity or time"
         )
     return Alignment(f"in motion, {aids.kind}", found.C_end, found.P[6:9, 6:9], total, found.bias_g, found.bias_a), found

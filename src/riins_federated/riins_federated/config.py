@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from riins_core.settings import SettingError, section, setting
 
+from .alignment_settings import AlignmentSettings
 from .inertial_model import InertialModel
 from .state_blocks import StateModel
 from .structure_settings import STRUCTURES, AidJudging, Sharing, SolutionSeparation
@@ -116,6 +117,7 @@ class NavigatorConfig:
     separation: SolutionSeparation = section(SolutionSeparation, "separation of solutions")
     sharing: Sharing = section(Sharing, "information shares")
     validity: ValidityLimits = section(ValidityLimits, "validity flags")
+    alignment: AlignmentSettings = section(AlignmentSettings, "finding the attitude where no initial state is given")
 
     def __post_init__(self) -> None:
         StateModel(self.inertial, self.states)

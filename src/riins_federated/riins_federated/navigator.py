@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from riins_fdi.health import Change
 
+from .alignment_desk import AlignmentDesk
+from .alignment_settings import AlignCommand, AlignmentReport, MasterState
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
 from .logbook import Logbook
@@ -26,8 +28,8 @@ MAX_WAITING = 100_000
 """Items that may wait for the IMU to reach their stamp."""
 LOST_BEYOND = 2**31
 """A step of the sequence number beyond this is a number that went back, not a loss."""
-RANK_INITIAL, RANK_COMMAND, RANK_RECALL = -2000, -1000, -1
-"""At one stamp: the initial state, then commands, then what is recalled, then the aids in the order of the subfilters."""
+RANK_ALIGNED, RANK_INITIAL, RANK_COMMAND, RANK_RECALL = -3000, -2000, -1000, -1
+"""At one stamp: what an alignment has found, an initial state, then commands, then what is recalled, then the aids in the order of the subfilters."""
 
 
 class Navigator:
@@ -58,6 +60,7 @@ class Navigator:
         self._period = Due(to_ns(config.covariance_period_s), to_ns(height_s), to_ns(config.settle_period_s), to_ns(config.feedback_period_s))
         self._initials: list[InitialState] = []
         self._log = Logbook()
+        self._desk = AlignmentDesk(config)
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
         self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
@@ -132,6 +135,7 @@ class Navigator:
             local.malformed += 1
         if reason is not Reason.NONE:
             return reason
+        self._desk.add(aid)
         self._take_in(aid.stamp_ns)
         return Reason.NONE
 
@@ -143,8 +147,28 @@ class Navigator:
             return f"the command is more than {self.config.max_delay_s:g} s older than the newest IMU sample"
         if not self._queue.add(command.stamp_ns, RANK_COMMAND + self._rank[command.name], command):
             return "there is a command of this stamp already"
+        self._desk.add(command)
         self._take_in(command.stamp_ns)
         return ""
+
+    def align(self, command: AlignCommand) -> str:
+        """Align from a measurement time on, while navigating or not, or give up what is under way; '' or one sentence why not."""
+        problem = command.problem()
+        if problem:
+            return problem
+        if self._last_ns is not None and command.stamp_ns <= self._last_ns:
+            return "the command comes after its stamp: samples behind it have been taken"
+        if command.stamp_ns in self._desk.stamps():
+            return "there is a command of this stamp already"
+        self._desk.command(command, self._queue.waiting())
+        return ""
+
+    def add_master(self, state: MasterState) -> Reason:
+        """Take a state of the INS that transfer alignment learns from; it is dropped when it comes too late."""
+        if self._is_late(state.stamp_ns):
+            return Reason.LATE
+        self._desk.add(state)
+        return Reason.NONE
 
     def add_imu(
         self,
@@ -210,6 +234,10 @@ class Navigator:
         """What happened, settled, oldest first."""
         return self._drain(NavEvent)
 
+    def drain_alignment(self) -> list[AlignmentReport]:
+        """How alignments went on, second by second, settled, oldest first."""
+        return self._desk.drain()
+
     def status(self) -> FederatedReport:
         """State of the subfilters and counts, as of the newest IMU sample."""
         counts = (self.imu_received, self.imu_lost, self.imu_rejected, self.restarts, self.rollbacks)
@@ -243,7 +271,11 @@ class Navigator:
         dt = np.diff(stamp_ns, prepend=stamp_ns[0] - first) * 1e-9
         gaps = np.diff(sequence, prepend=sequence[0] - 1 if self._last_sequence is None else self._last_sequence)
         self.imu_lost += int(np.where((gaps > 1) & (gaps < LOST_BEYOND), gaps - 1, 0).sum())
-        self._imu.append(stamp_ns, np.asarray(rate, np.float64), np.asarray(force, np.float64), rate_covariance, force_covariance, dt)
+        rate, force = np.asarray(rate, np.float64), np.asarray(force, np.float64)
+        self._imu.append(stamp_ns, rate, force, rate_covariance, force_covariance, dt)
+        if not self._filter.running:
+            self._desk.begin(int(stamp_ns[0]), self._queue.waiting())
+        self._desk.append(stamp_ns, rate, force, rate_covariance, force_covariance)
         self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
 
     def _queue_recalls(self, stamp_ns: NDArray[np.int64], recalls: Sequence[Recall]) -> Sequence[Recall]:
@@ -251,6 +283,7 @@ class Navigator:
         n = 0
         while n < len(recalls) and recalls[n].stamp_ns in stamp_ns:
             self._queue.add(recalls[n].stamp_ns, RANK_RECALL, recalls[n])
+            self._desk.add(recalls[n])
             n += 1
         return recalls[n:]
 
@@ -261,6 +294,7 @@ class Navigator:
         waiting = self._queue.waiting()
         self._filter.stop()
         self._clear()
+        self._desk.new_run(stamp_ns)
         self._last_ns = self._last_sequence = None
         self.restarts += 1
         for stamp, rank, item in waiting:
@@ -272,14 +306,17 @@ class Navigator:
 
     def _take_in(self, stamp_ns: int) -> None:
         """Work in a new item of the queue, going back if its time has passed."""
-        if not self._filter.running:
-            return
+        if self._filter.running:
+            self._go_back(stamp_ns)
+            self._advance()
+
+    def _go_back(self, stamp_ns: int) -> None:
+        """To before a stamp, if it has passed."""
         if stamp_ns <= self._filter.stamp_ns and self._sample > 0:
             while len(self._checkpoints) > 1 and self._checkpoints[-1].stamp_ns >= stamp_ns:
                 self._checkpoints.pop()
             self._return_to(self._checkpoints[-1])
             self.rollbacks += 1
-        self._advance()
 
     def _return_to(self, point: Checkpoint) -> None:
         self._filter.restore(point.filter)
@@ -288,6 +325,7 @@ class Navigator:
 
     def _advance(self) -> None:
         """Work everything up to the newest sample."""
+        self._align()
         if not self._filter.running and not self._begin():
             return
         imu, queue = self._imu, self._queue
@@ -305,23 +343,51 @@ class Navigator:
                 self._work(int(imu.stamp[stop]), stop)
         self._trim()
 
+    def _align(self) -> None:
+        """Work the alignments up to where everything is settled; what they find becomes the state from its stamp on."""
+        if self._last_ns is None or not self._desk.busy:
+            return
+        until = self._last_ns - self._max_delay
+        given = [] if self._filter.running else self._fitting()
+        if given:  # had the samples come one by one, this state would have been begun from at the first sample behind it
+            until = min(until, int(self._imu.stamp[np.searchsorted(self._imu.stamp, given[0].stamp_ns, side="right")]) - self._max_delay)
+        while (report := self._desk.step(until)) is not None:
+            found = report.initial
+            assert found is not None
+            if self._filter.running:
+                self._queue.add(found.stamp_ns + 1, RANK_ALIGNED, found)  # up to the stamp itself all is settled
+                self._go_back(found.stamp_ns + 1)
+            else:
+                self._begin_from(found)
+
+    def _fitting(self) -> list[InitialState]:
+        """Initial states that fit the samples at hand."""
+        stamps = self._imu.stamp
+        return [known for known in self._initials if stamps[0] - self._max_delay <= known.stamp_ns < stamps[-1]] if len(stamps) else []
+
     def _begin(self) -> bool:
         """Start from the earliest initial state that fits the samples at hand; until there is one, keep `max_delay_s` of them."""
         stamps = self._imu.stamp
         if len(stamps) == 0:
             return False
-        fitting = [known for known in self._initials if stamps[0] - self._max_delay <= known.stamp_ns < stamps[-1]]
+        fitting = self._fitting()
         if not fitting:
             self._drop_samples(int(np.searchsorted(stamps, stamps[-1] - self._max_delay)))
             self._sample = self._dropped_samples
             return False
-        initial = fitting[0]
+        self._desk.stop(fitting[0].stamp_ns, "an initial state was given")
+        self._begin_from(fitting[0])
+        return True
+
+    def _begin_from(self, initial: InitialState) -> None:
+        stamps = self._imu.stamp
         first = int(np.searchsorted(stamps, initial.stamp_ns, side="right"))
         self._imu.dt[first] = (stamps[first] - initial.stamp_ns) * 1e-9
         self._sample = first + self._dropped_samples
         self._filter.start(initial)
-        for later in fitting[1:] + [known for known in self._initials if known.stamp_ns >= stamps[-1]]:
-            self._queue.add(later.stamp_ns, RANK_INITIAL, later)
+        for later in self._initials:
+            if later.stamp_ns > initial.stamp_ns:
+                self._queue.add(later.stamp_ns, RANK_INITIAL, later)
         while self._queue.head_ns() <= initial.stamp_ns:
             _, rank, item = self._queue.take()
             if isinstance(item, Aid):
@@ -331,7 +397,6 @@ class Navigator:
         self._due = self._period.after(initial.stamp_ns)
         self._log.begun(initial)
         self._checkpoints = [self._checkpoint(initial.stamp_ns)]
-        return True
 
     def _work(self, stamp_ns: int, sample: int) -> None:
         """Do what is due at a sample that has just been integrated."""

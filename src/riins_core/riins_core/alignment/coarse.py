@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from ..earth import OMEGA_IE, earth_rate_n, gravity
 from ..rotation import orthonormalize
-from .result import AlignmentError, check_latitude
+from .result import AlignmentError, TooSoon, check_latitude
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def check_still(rate: Array, force: Array, dt: float, lat: float, arw: float, vr
     per = max(1, round(1.0 / dt))
     m = len(rate) // per
     if m < 2:
-        raise AlignmentError(f"{len(rate) * dt:.3g} s of data are not enough: alignment at rest needs two seconds")
+        raise TooSoon(f"{len(rate) * dt:.3g} s of data are not enough: alignment at rest needs two seconds")
     if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(force))):
         raise AlignmentError("the IMU data contain values that are not finite")
     second = per * dt

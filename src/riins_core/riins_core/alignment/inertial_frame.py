@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..jit import jit
 from ..rotation import exp_so3, exp_so3_into
 from .coarse import wahba
-from .result import AlignmentError
+from .result import TooSoon
 
 Array = NDArray[np.float64]
 
@@ -114,14 +114,14 @@ def fit(body: Array, reference: Array, degree: int) -> Fit:
     Raises
     ------
     AlignmentError
-        Fewer than ten vectors, or vectors that do not leave a line.
+        Fewer than ten vectors (`TooSoon`), or vectors that do not leave a line.
 
     Notes
     -----
     To take a polynomial out of a series commutes with a rotation: both series lose it, and what is left is Wahba's problem with equal weights.
     """
     if len(body) < 10:
-        raise AlignmentError(f"{len(body)} vectors are not enough for an alignment in the inertial frame")
+        raise TooSoon(f"{len(body)} vectors are not enough for an alignment in the inertial frame")
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(body)), degree + 1))
     b, r = body - basis @ (basis.T @ body), reference - basis @ (basis.T @ reference)
     C = wahba(b, r, np.ones(len(b)))

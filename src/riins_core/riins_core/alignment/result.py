@@ -1,6 +1,7 @@
 """What an alignment hands back, when it refuses, and the limits no alignment from the IMU alone can beat.
 
-Lives here: `Alignment`, `AlignmentError`, `check_latitude`, `bounds`, `settled_after`, `attitude_error`, `bias_covariance`.
+Lives here: `Alignment`, `AlignmentError`, `TooSoon`, `check_latitude`, `bounds`, `settled_after`, `attitude_error`, `bias_covariance`,
+`bias_response`.
 Does not live here: any method (the other modules of this package).
 """
 
@@ -23,6 +24,10 @@ MAX_LATITUDE = math.radians(85.0)
 
 class AlignmentError(ValueError):
     """No attitude can be given; the message says why in one line."""
+
+
+class TooSoon(AlignmentError):
+    """No attitude yet: more data may give it."""
 
 
 @dataclass(frozen=True)
@@ -124,11 +129,17 @@ def bias_covariance(lat: float, C_nb: Array, cov_g: Array, cov_a: Array) -> Arra
     -----
     phi_N = a_E / g, phi_E = -a_N / g, phi_D = (C b_g)_E / (W cos L) - tan L a_E / g: thesis (3-6) in our signs.
     """
+    by_g, by_a = bias_response(lat, C_nb)
+    return np.asarray(by_a @ cov_a @ by_a.T + by_g @ cov_g @ by_g.T)
+
+
+def bias_response(lat: float, C_nb: Array) -> tuple[Array, Array]:
+    """phi (3, 3) that a unit of each gyro's [rad/s] and each accelerometer's [m/s^2] bias leaves at rest; see `bias_covariance`."""
     g, north = float(gravity(lat, 0.0)), OMEGA_IE * math.cos(lat)
     by_a = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -math.tan(lat), 0.0]]) / g @ C_nb
     by_g = np.zeros((3, 3))
     by_g[2] = C_nb[1] / north
-    return np.asarray(by_a @ cov_a @ by_a.T + by_g @ cov_g @ by_g.T)
+    return by_g, np.asarray(by_a)
 
 
 def attitude_error(C_nb: Array, true: Array) -> Array:

@@ -6,6 +6,7 @@ Lives here: `Aids`, `Start`, `run_stored`, `check_biases`, `start_of_end`. Does 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 _LOG = slice(N_STATES, N_STATES + 2)
 _SIZE = N_STATES + 2
+_SEEN = 0.05
 KINDS = ("place", "velocity", "log")
 """Place north, east, down of the start [m]; velocity NED [m/s]; velocity in the body of a log [m/s]."""
 
@@ -37,7 +39,7 @@ class Aids:
     index : (k,), samples after which each holds, ascending
     value : (k, 3)
     sigma : (3,), standard deviation of each component
-    lever : (3,), of the log in the body, m
+    lever : (3,), of the antenna or the log in the body, m; not of a place
     log_prior : standard deviations of a log's yaw [rad] and scale factor; zero: it has none
     """
 
@@ -75,6 +77,7 @@ class Pass:
     log : (2,), yaw [rad] and scale factor of a log
     nis : (k,), normalized innovation squared of each, 3 degrees of freedom
     refused : how many measurements the gate kept out
+    place : (3,), latitude, longitude [rad], height [m] at the last sample
     """
 
     t: Array
@@ -88,6 +91,7 @@ class Pass:
     log: Array
     nis: Array
     refused: int
+    place: Array
 
 
 def prior(place: float, velocity: float, level: float, heading: float, imu: ImuNoise) -> Array:
@@ -138,7 +142,7 @@ def run_stored(rate: Array, force: Array, dt: float, start: Start, imu: ImuNoise
             z = aids.value[k] - [north, east, start.h - ship.nav[2]]
             H[:, POS] = -np.eye(3)
         elif aids.kind == "velocity":
-            z = aids.value[k] - v
+            z = aids.value[k] - v - C @ np.cross(rate[max(done - 1, 0)] - bias_g, aids.lever)
             H[:, VEL] = -np.eye(3)
         else:
             z, H = _log(aids, k, C, v, rate[max(done - 1, 0)] - bias_g, log)
@@ -162,6 +166,7 @@ def run_stored(rate: Array, force: Array, dt: float, start: Start, imu: ImuNoise
         log,
         nis,
         refused,
+        ship.nav[:3].copy(),
     )
 
 
@@ -192,18 +197,40 @@ def _propagate(ship: StrapdownState, P: Array, rate: Array, force: Array, steps:
 
 
 def check_biases(found: Pass, imu: ImuNoise, false_alarm: float = 1e-6) -> None:
-    """Refuse a pass that explains what it saw by a bias this IMU does not have: its attitude would be as wrong.
+    """Refuse a pass that explains what it saw by biases this IMU does not have: its attitude would be as wrong.
+
+    Parameters
+    ----------
+    found : pass that began with zero biases and the prior of `imu`
+    imu : its bias sigmas
+    false_alarm : probability that a good pass is refused
 
     Raises
     ------
     AlignmentError
-        An estimated bias is beyond the quantile of its prior.
+        The six estimated biases are beyond the quantile of what they vary by.
+
+    Notes
+    -----
+    An estimate that starts from zero varies by prior minus posterior covariance, not by the prior: it is drawn to zero where little is seen of it. In
+    units of the prior, b' (I - P)^-1 b is chi-square; directions of which less than `_SEEN` is seen are left out. A wrong latitude shows here, as a
+    rate of W sin(L) dL about north and as the change of gravity.
     """
-    gate = float(np.sqrt(chi2.isf(false_alarm, 1)))
-    for bias, sigma, what in ((found.bias_g, imu.bias_g, "gyro"), (found.bias_a, imu.bias_a, "accelerometer")):
-        worst = float(np.max(np.abs(bias))) / sigma
-        if worst > gate:
-            raise AlignmentError(f"the data ask for {'a' if what == 'gyro' else 'an'} {what} bias of {worst:.1f} sigma: another IMU, or the aid errs")
+    scale = np.repeat([imu.bias_g, imu.bias_a], 3)
+    b = np.concatenate([found.bias_g, found.bias_a]) / scale
+    part, axes = np.linalg.eigh(np.eye(6) - found.P[9:15, 9:15] / np.outer(scale, scale))
+    seen = part > _SEEN
+    if not seen.any():
+        return
+    statistic = float(np.sum((axes.T @ b)[seen] ** 2 / part[seen]))
+    if statistic > chi2.isf(false_alarm, int(seen.sum())):
+        worst = int(np.argmax(np.abs(b)))
+        word = "a gyro" if worst < 3 else "an accelerometer"
+        times = math.sqrt(statistic / float(seen.sum()))
+        raise AlignmentError(
+            f"the data ask for {word} bias of {abs(b[worst]):.1f} sigma, all biases {times:.1f} times as large as they should be: "
+            "wrong latitude, another IMU, or the aid errs"
+        )
 
 
 def start_of_end(C_end: Array, turn_n: Array, turn_b: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..earth import earth_rate_n, gravity
 from ..settings import setting
 from .inertial_frame import Fit, accumulate, body_integrals, fit, navigation_turn
-from .result import Alignment, AlignmentError, check_latitude
+from .result import Alignment, AlignmentError, TooSoon, check_latitude
 from .stationary import ImuNoise
 from .stored import Aids, Pass, Start, check_biases, prior, run_stored, start_of_end
 
@@ -88,7 +88,7 @@ def align_swaying(
     m, per = len(rate), max(1, round(settings.correlation_s / dt))
     n = round(settings.coarse_s / dt)
     if m < n:
-        raise AlignmentError(f"{m * dt:.3g} s of data are not enough: alignment in waves needs {settings.coarse_s:.0f} s")
+        raise TooSoon(f"{m * dt:.3g} s of data are not enough: alignment in waves needs {settings.coarse_s:.0f} s")
     if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(force))):
         raise AlignmentError("the IMU data contain values that are not finite")
     first = coarse(rate[:n], force[:n], dt, lat)
