@@ -25,6 +25,7 @@ SUBFILTER_STATES = ("healthy", "suspect", "isolated", "probation", "absent", "ex
 SENSOR_REASONS = ("none", "parity", "stuck", "not finite", "saturated", "invalid", "operator", "recovered")
 SUBFILTER_REASONS = (
     "none", "innovation", "hold", "late", "not finite", "no fix", "covariance", "operator", "separation", "not ready", "duplicate",
+    "innovations", "frame",
 )  # fmt: skip
 FAULT_TYPES = ("step", "ramp", "stuck", "noise", "scale", "dropout")
 

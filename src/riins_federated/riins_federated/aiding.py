@@ -1,22 +1,28 @@
-"""Measurement models of the aids: what a sensor should read, how the reading depends on the error state, and its noise.
+"""What every aid has in common: pose and measurement, settings, lever arm, delay, noise, and states of its own.
 
-Lives here: position (GNSS), body velocity (Doppler log) and mean height, each with innovation z, matrix H and noise R.
-Does not live here: the fault test (local_filter.py), the filter (master.py). Errors are computed minus true, so H is minus the seeds' H.
+Lives here: `Pose`, `Measurement`, `AidSettings`, `AidModel`, `Input`, and the arithmetic of noise.
+Does not live here: the aids (aids/, one file a type), the fault test, the filter. Errors are computed minus true: H is minus the seeds'.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from riins_core.earth import radii_s
-from riins_core.ins_error import PHI, POS, VEL, State
-from riins_core.rotation import skew
+from riins_core.rotation import exp_so3
+from riins_core.settings import setting
 
-from .config import HeightAid, PositionAid, VelocityAid
 from .state_blocks import N_FED_BACK, Block, StateModel
-from .types import Aid, Array
+from .structure_settings import AidJudging
+from .types import Aid, Array, Reason
+
+DELAY_STEP_S = 1e-3
+"""Over twice this the rate of a measurement is taken, for the state of its delay."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,7 @@ class Pose:
     v_n : (3,), m/s, NED
     C_nb : (3, 3)
     rate_b : (3,), body rate relative to NED, rad/s, FRD
+    a_n : (3,), rate of v_n, m/s^2
     """
 
     lat: float
@@ -37,6 +44,16 @@ class Pose:
     v_n: Array
     C_nb: Array
     rate_b: Array
+    a_n: Array
+
+    def moved(self, seconds: float) -> Pose:
+        """The pose a moment later, with acceleration and body rate as they are."""
+        step = self.v_n * seconds + 0.5 * self.a_n * seconds**2
+        r_m, r_n = radii_s(self.lat)
+        return replace(
+            self, lat=self.lat + step[0] / (r_m + self.h), lon=self.lon + step[1] / ((r_n + self.h) * math.cos(self.lat)), h=self.h - step[2],
+            v_n=self.v_n + self.a_n * seconds, C_nb=self.C_nb @ exp_so3(self.rate_b * seconds),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,6 +63,161 @@ class Measurement:
     z: Array
     H: Array
     R: Array
+
+
+class Input(NamedTuple):
+    """A message an aid may come in: its type, the reader that makes numbers of it, and which measurements of a topic it takes."""
+
+    message: str
+    """as in "sensor_msgs/msg/NavSatFix" """
+    read: Callable[[Any], Mapping[str, Any] | None]
+    """gives stamp_ns, z, R, ok and frame, or None for a message that is not for this aid"""
+    part: str = ""
+    """aids of different parts may share a topic"""
+
+
+@dataclass(frozen=True)
+class AidSettings(AidJudging):
+    """What is declared of every aid."""
+
+    type: str = setting("", "kind of aid")
+    enabled: bool = setting(True, "use this subfilter")
+    topic: str = setting("", "topic of its messages; empty: NAME/fix, NAME/velocity, NAME/heading ... by its type")
+    frame: str = setting("", "header.frame_id its messages must have; empty: any")
+    period_s: float = setting(10.0, "nominal interval between measurements", "s", 1e-3, 3600.0)
+    timeout_s: float = setting(35.0, "absent after this long without a measurement, by IMU time", "s", 0.01, 1e5)
+    delay_s: float = setting(0.0, "known delay: a measurement holds this long before the stamp of its message", "s", -10.0, 10.0)
+    delay_sigma_s: float = setting(0.0, "sigma of what is not known of the delay, a state; 0: none", "s", 0.0, 10.0)
+    false_alarm_probability: float = setting(0.0, "of its innovation test; 0: that of section isolation", "", 0.0, 0.5)
+    isolate_after: int = setting(0, "consecutive failed tests until it is isolated; 0: that of section isolation", "", 0, 1000)
+    readmit_after: int = setting(0, "consecutive passed tests on probation until it is fused again; 0: that of section isolation", "", 0, 1000)
+    hold_s: float = setting(-1.0, "an isolated subfilter stays so at least this long; -1: that of section isolation", "s", -1.0, 1e5)
+
+
+@dataclass(frozen=True)
+class LeverSettings(AidSettings):
+    """An aid that stands away from the IMU."""
+
+    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "of the sensor from the IMU, forward, starboard, down", "m", -1e3, 1e3, length=3)
+    lever_sigma_m: float = setting(0.0, "sigma of each axis of the lever arm, three states; 0: known", "m", 0.0, 100.0)
+
+
+S = TypeVar("S", bound=AidSettings)
+
+
+class AidModel(Generic[S]):
+    """Measurement model of one declared aid. A new type is a file in aids/ with a subclass of this.
+
+    Parameters
+    ----------
+    name : of the aid, as declared
+    settings : of its type
+
+    Attributes
+    ----------
+    kind : name of the type, as in `type:`
+    Settings : class of its settings
+    leaf : the default topic is NAME/leaf
+    inputs : messages it can come in, by the word of its setting `message` where there are several; the first is the default
+    size : elements of z in its measurements
+    rows : which of them are used
+    n : states of the assembled error state
+    at : places of its own states in it, those that are on
+    """
+
+    kind: ClassVar[str]
+    Settings: ClassVar[type[AidSettings]]
+    leaf: ClassVar[str]
+    inputs: ClassVar[Mapping[str, Input]]
+
+    def __init__(self, name: str, settings: S, size: int = 3, rows: slice = slice(0, 3)) -> None:
+        self.name, self.settings = name, settings
+        self.size, self.rows = size, rows
+        self.n, self.at = 0, {}  # type: ignore[var-annotated]
+        self.lever = np.array(getattr(settings, "lever_arm_m", (0.0, 0.0, 0.0)))
+
+    def own(self) -> list[Block]:
+        """States of this type of aid, by `state`; those of sigma 0 are off."""
+        return []
+
+    def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
+        """Innovation, H and R of the elements `rows`, without regard to a delay that is not known."""
+        raise NotImplementedError
+
+    def state(self, name: str, labels: Mapping[str, str], sigma: float, time_s: float = np.inf) -> Block:
+        """A block of its own: labels with their units."""
+        return Block(f"{self.name}.{name}", tuple(f"{self.name}_{label} [{unit}]" for label, unit in labels.items()), float(sigma), time_s)
+
+    def blocks(self) -> list[Block]:
+        """All states of its own."""
+        lever = self.state("lever", dict.fromkeys(("lever_x", "lever_y", "lever_z"), "m"), getattr(self.settings, "lever_sigma_m", 0.0))
+        return [*self.own(), lever, self.state("delay", {"delay": "s"}, self.settings.delay_sigma_s)]
+
+    def place(self, states: StateModel) -> None:
+        """Be told the assembled state."""
+        self.n = states.n
+        places = {block.name.removeprefix(f"{self.name}."): states.place(block.name) for block in self.blocks()}
+        self.at = {name: place for name, place in places.items() if place is not None}
+
+    def value(self, parameters: Array, state: str) -> Array | float:
+        """Estimate of states of its own, 0.0 where they are off."""
+        place = self.at.get(state)
+        return 0.0 if place is None else np.asarray(parameters[place.start - N_FED_BACK : place.stop - N_FED_BACK])
+
+    def number(self, parameters: Array, state: str) -> float:
+        """Estimate of a state of its own that stands alone, 0.0 where it is off."""
+        place = self.at.get(state)
+        return 0.0 if place is None else float(parameters[place.start - N_FED_BACK])
+
+    def measurement(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
+        """Innovation, H and R of a measurement that has no `defect`.
+
+        Parameters
+        ----------
+        aid : z (size,), R (size, size)
+        pose : nominal state at its stamp
+        parameters : (n - 9,), estimated parameters
+
+        Notes
+        -----
+        A delay that is a state moves the pose by its estimate; its column of H is the rate of the measurement, by a central difference.
+        """
+        if "delay" not in self.at:
+            return self.difference(aid, pose, parameters)
+        delay = self.number(parameters, "delay")
+        found = self.difference(aid, pose.moved(-delay), parameters)
+        later, before = (self.difference(aid, pose.moved(step - delay), parameters).z for step in (DELAY_STEP_S, -DELAY_STEP_S))
+        found.H[:, self.at["delay"].start] = (before - later) / (2.0 * DELAY_STEP_S)
+        return found
+
+    def defect(self, aid: Aid) -> Reason:
+        """Why a measurement cannot be used at all, NONE if it can."""
+        if not aid.ok:
+            return Reason.NO_FIX
+        if self.settings.frame and aid.frame is not None and aid.frame != self.settings.frame:
+            return Reason.FRAME
+        if np.shape(aid.z) != (self.size,) or not self.plausible(aid.z):
+            return Reason.NOT_FINITE
+        return Reason.NONE if self.covariance_ok(aid) else Reason.COVARIANCE
+
+    def plausible(self, z: Array) -> bool:
+        """The elements that are used are numbers that such a sensor can give."""
+        return bool(np.isfinite(z[self.rows]).all())
+
+    def covariance_ok(self, aid: Aid) -> bool:
+        """Its covariance can be used."""
+        side = len(aid.R)
+        return np.shape(aid.R) == (side, side) and side == self.size and reported_covariance_ok(aid.R, self.rows)
+
+
+def models_of(modules: Mapping[str, Any]) -> dict[str, type[AidModel[Any]]]:
+    """Aid models of modules, by kind."""
+    found: dict[str, type[AidModel[Any]]] = {}
+    for module in modules.values():
+        for one in vars(module).values():
+            if isinstance(one, type) and issubclass(one, AidModel) and one.__module__ == module.__name__ and "kind" in vars(one):
+                found[one.kind] = one
+    return found
 
 
 def white_inflation(sigma: float, correlation_time: float, period: float) -> float:
@@ -63,114 +235,18 @@ def white_inflation(sigma: float, correlation_time: float, period: float) -> flo
     return float(sigma**2 * (1.0 + r) / (1.0 - r))
 
 
-class PositionModel:
-    """GNSS position at the antenna, compared in metres NED."""
-
-    def __init__(self, config: PositionAid) -> None:
-        self.lever = np.array(config.lever_arm_m)
-        self.sigma = np.array(config.sigma_m)
-        self.floor = config.sigma_floor_m
-        self.extra = white_inflation(config.markov_sigma_m, config.markov_time_s, config.period_s)
-        self.rows = 3 if config.use_height else 2
-        self.coordinates = slice(0, self.rows)
-
-    def blocks(self) -> list[Block]:
-        """States of its own: none."""
-        return []
-
-    def place(self, states: StateModel) -> None:
-        """Be told the assembled state."""
-        self.n = states.n
-
-    def measurement(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
-        """Innovation, H and R of a position; see Groves (14.102) for the lever arm, with errors computed minus true."""
-        lever_n = pose.C_nb @ self.lever
-        r_m, r_n = radii_s(pose.lat)
-        d_lon = (aid.z[1] - pose.lon + np.pi) % (2.0 * np.pi) - np.pi  # across the date line
-        difference = np.array([(aid.z[0] - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * np.cos(pose.lat), pose.h - aid.z[2]])
-        H = np.zeros((3, self.n))
-        H[:, POS] = -np.eye(3)
-        H[:, PHI] = -skew(lever_n)
-        R = noise(aid.R, self.sigma, self.floor) + self.extra * np.eye(3)
-        n = self.rows
-        return Measurement((difference - lever_n)[:n], H[:n], R[:n, :n])
-
-
-class VelocityModel:
-    """Velocity over ground in log axes at the transducer: (1 + s) (I - yaw [z x]) C_nb' v_n, plus the lever arm's w x l."""
-
-    def __init__(self, config: VelocityAid, name: str = "doppler") -> None:
-        self.name = name
-        self.sigma_yaw, self.sigma_scale = np.radians(config.misalignment_deg), config.scale_ppm * 1e-6
-        self.lever = np.array(config.lever_arm_m)
-        self.sigma = np.array(config.sigma_mps)
-        self.floor = config.sigma_floor_mps
-        self.rows = 3 if config.use_down else 2
-        self.coordinates = slice(0, self.rows)
-
-    def blocks(self) -> list[Block]:
-        """States of its own: mounting yaw and scale factor, where they are not known."""
-        return [
-            Block(f"{self.name}.yaw", (f"{self.name}_yaw [rad]",), float(self.sigma_yaw)),
-            Block(f"{self.name}.scale", (f"{self.name}_scale [1]",), self.sigma_scale),
-        ]
-
-    def place(self, states: StateModel) -> None:
-        """Be told the assembled state."""
-        self.n = states.n
-        self.yaw, self.scale = (None if at is None else at.start for at in (states.place(f"{self.name}.{state}") for state in ("yaw", "scale")))
-
-    def measurement(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
-        """Innovation, H and R of a velocity in log axes, forward, starboard, down."""
-        yaw = 0.0 if self.yaw is None else parameters[self.yaw - N_FED_BACK]
-        scale = 0.0 if self.scale is None else parameters[self.scale - N_FED_BACK]
-        c, s = np.cos(yaw), np.sin(yaw)
-        M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        v_b = pose.C_nb.T @ pose.v_n + np.cross(pose.rate_b, self.lever)
-        v_log = M @ v_b
-        predicted = (1.0 + scale) * v_log
-        turn = (1.0 + scale) * M @ pose.C_nb.T
-        H = np.zeros((3, self.n))
-        H[:, VEL] = -turn
-        H[:, PHI] = turn @ skew(pose.v_n)
-        if self.yaw is not None:
-            H[:, self.yaw] = -(1.0 + scale) * np.array([v_log[1], -v_log[0], 0.0])
-        if self.scale is not None:
-            H[:, self.scale] = -v_log
-        n = self.rows
-        return Measurement((aid.z - predicted)[:n], H[:n], noise(aid.R, self.sigma, self.floor)[:n, :n])
-
-
-class HeightModel:
-    """Mean height of the vehicle above the ellipsoid."""
-
-    def __init__(self, config: HeightAid) -> None:
-        self.mean = config.mean_m
-        self.variance = white_inflation(config.sigma_m, config.correlation_time_s, config.period_s)
-
-    def place(self, states: StateModel) -> None:
-        """Be told the assembled state."""
-        self.n = states.n
-
-    def measurement(self, pose: Pose) -> Measurement:
-        """Innovation, H and R of the known mean height, on the down axis."""
-        H = np.zeros((1, self.n))
-        H[0, State.POS_D] = -1.0
-        return Measurement(np.array([pose.h - self.mean]), H, np.array([[self.variance]]))
-
-
 def noise(R: Array, sigma: Array, floor: float) -> Array:
     """Covariance to use: the reported one, or the configured sigma where it is all zeros, not below the floor.
 
     Parameters
     ----------
-    R : (3, 3), reported
-    sigma : (3,), configured
+    R : (m, m), reported
+    sigma : (m,), configured
     floor : smallest sigma
 
     Returns
     -------
-    (3, 3)
+    (m, m)
     """
     R = np.array(R) if R.any() else np.diag(sigma**2)
     low = floor**2 - np.diag(R)
@@ -185,3 +261,8 @@ def reported_covariance_ok(R: Array, rows: slice) -> bool:
         return True
     part = R[rows, rows]
     return bool(np.allclose(part, part.T, rtol=1e-9, atol=1e-9 * float(np.abs(part).max())) and np.linalg.eigvalsh(part).min() > 0.0)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product of two vectors (3,); numpy's own takes ten times as long for so few numbers."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

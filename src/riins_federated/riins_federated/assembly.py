@@ -45,7 +45,8 @@ def make_structure(config: NavigatorConfig, P0: Array, aids: Sequence[Any]) -> S
     SettingError
         Fixed shares that do not leave a positive one for the known height.
     """
-    gates = [Gate(config.isolation.false_alarm_probability, _test(aid), hold=0) for aid in aids]  # how long it is held is the health machine's
+    pfa = config.isolation.false_alarm_probability
+    gates = [Gate(aid.false_alarm_probability or pfa, _test(aid), hold=0) for aid in aids]  # how long it is held is the health machine's
     adaptive = [aid.adaptive_noise for aid in aids]
     x0 = np.zeros(len(P0))
     if config.structure in ("separated", "information"):

@@ -1,64 +1,24 @@
 """Parameters of the navigator, with description, unit and range.
 
-Lives here: `NavigatorConfig` and its sections; the node's ROS parameters and a scenario's `navigator` section are these.
-Does not live here: how a scenario becomes a configuration (riins_eval.configure), ROS declaration (riins_node.parameters).
+Lives here: `NavigatorConfig` and its own sections; the node's ROS parameters and a scenario's `navigator` section are these.
+Does not live here: sections of aids (aids/), how a scenario becomes a configuration (riins_eval.configure), declaration (riins_node.parameters).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from riins_core.settings import SettingError, section, setting
+from riins_core.settings import SettingError, declared, section, setting
 
+from .aid_inputs import check_topics
+from .aids import DEFAULT_AIDS, aid_settings
 from .alignment_settings import AlignmentSettings
 from .inertial_model import InertialModel
+from .known_height import HeightAid
 from .state_blocks import StateModel
-from .structure_settings import STRUCTURES, AidJudging, Sharing, SolutionSeparation
-
-
-@dataclass(frozen=True)
-class PositionAid(AidJudging):
-    """A GNSS receiver."""
-
-    enabled: bool = setting(True, "use this subfilter")
-    sigma_m: tuple[float, ...] = setting(
-        (30.0, 30.0, 60.0), "sigma north, east, down where the message gives no covariance", "m", 1e-4, 1e5, length=3
-    )
-    sigma_floor_m: float = setting(0.0, "a smaller reported sigma is raised to this", "m", 0.0, 1e5)
-    markov_sigma_m: float = setting(0.0, "correlated error, worked in by a larger white noise", "m", 0.0, 1e5)
-    markov_time_s: float = setting(100.0, "its correlation time", "s", 0.1, 1e6)
-    use_height: bool = setting(False, "fuse the height too (mean sea level serves a ship better)")
-    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "antenna from the IMU, forward, starboard, down", "m", -1e3, 1e3, length=3)
-    period_s: float = setting(10.0, "nominal interval between measurements", "s", 1e-3, 3600.0)
-    timeout_s: float = setting(35.0, "absent after this long without a measurement, by IMU time", "s", 0.01, 1e5)
-
-
-@dataclass(frozen=True)
-class VelocityAid(AidJudging):
-    """A Doppler log."""
-
-    enabled: bool = setting(True, "use this subfilter")
-    sigma_mps: tuple[float, ...] = setting(
-        (0.1286, 0.1286, 0.1286), "sigma forward, starboard, down where the message gives none", "m/s", 1e-6, 100.0, length=3
-    )
-    sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
-    misalignment_deg: float = setting(0.5, "sigma of the unknown mounting yaw; 0: known, not estimated", "deg", 0.0, 90.0)
-    scale_ppm: float = setting(0.0, "sigma of the unknown scale factor; 0: known, not estimated", "ppm", 0.0, 1e6)
-    use_down: bool = setting(False, "fuse the third component too")
-    lever_arm_m: tuple[float, ...] = setting((0.0, 0.0, 0.0), "transducer from the IMU, forward, starboard, down", "m", -1e3, 1e3, length=3)
-    period_s: float = setting(10.0, "nominal interval between measurements", "s", 1e-3, 3600.0)
-    timeout_s: float = setting(35.0, "absent after this long without a measurement, by IMU time", "s", 0.01, 1e5)
-
-
-@dataclass(frozen=True)
-class HeightAid:
-    """Mean height of a ship: mean sea level with geoid undulation, tide and heave as correlated noise."""
-
-    enabled: bool = setting(True, "a ship stays near the geoid; switch off for vehicles that leave the surface")
-    mean_m: float = setting(0.0, "mean height above the ellipsoid of the IMU", "m", -1e4, 1e5)
-    sigma_m: float = setting(2.0, "sigma of tide and heave", "m", 1e-3, 1e4)
-    correlation_time_s: float = setting(10.0, "its correlation time", "s", 0.1, 1e5)
-    period_s: float = setting(10.0, "interval at which it is fused", "s", 0.01, 3600.0)
+from .structure_settings import STRUCTURES, Sharing, SolutionSeparation
 
 
 @dataclass(frozen=True)
@@ -109,9 +69,8 @@ class NavigatorConfig:
         ("gyro_markov",), "states beyond the fifteen of the INS, for the inertial sensors: gyro_markov, accel_markov, gyro_scale, accel_scale"
     )
     inertial: InertialModel = section(InertialModel, "error model of the fused triad")
-    gps: PositionAid = section(PositionAid, "GPS receiver")
-    bds: PositionAid = section(PositionAid, "BDS receiver")
-    doppler: VelocityAid = section(VelocityAid, "Doppler log")
+    aids: tuple[str, ...] = setting(tuple(DEFAULT_AIDS), "names of the aids; each has a section of its own, whose type says what it is")
+    aid: Mapping[str, Any] = declared("aids", aid_settings, DEFAULT_AIDS)
     height: HeightAid = section(HeightAid, "mean height")
     isolation: Isolation = section(Isolation, "fault test")
     separation: SolutionSeparation = section(SolutionSeparation, "separation of solutions")
@@ -121,6 +80,7 @@ class NavigatorConfig:
 
     def __post_init__(self) -> None:
         StateModel(self.inertial, self.states)
+        check_topics(self.aid)
         if self.calibration_lead_s <= self.max_delay_s:
             raise SettingError('"calibration_lead_s" must exceed "max_delay_s": it would come too late')
         limits = self.validity

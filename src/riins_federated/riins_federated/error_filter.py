@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from riins_core.ins_error import N_STATES, fill_dynamics
 from riins_core.jit import jit
 
 from .types import Array
 
+Rows = NDArray[np.int64]
 N_COUPLED = 9
 """Position, velocity, attitude: the rows of the transition that are not diagonal."""
 
@@ -29,7 +31,7 @@ def gather(swing: Array, rate: Array, force: Array, dt: Array) -> None:
 
 
 @jit
-def transition(nav: Array, sums: Array, swing: Array, density: Array, decay: Array, column: Array, factor: Array, Phi: Array, Qd: Array) -> None:
+def transition(nav: Array, sums: Array, swing: Array, density: Array, decay: Array, column: Rows, factor: Rows, Phi: Array, Qd: Array) -> None:
     """Transition matrix and process noise over the interval that `sums` has accumulated.
 
     Parameters

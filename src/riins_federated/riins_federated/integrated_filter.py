@@ -19,10 +19,13 @@ from riins_core.strapdown import strapdown_block
 from riins_fdi.eraim import cross_check
 from riins_fdi.health import Change
 
-from .aiding import HeightModel, Measurement, Pose, PositionModel, VelocityModel
+from .aiding import Measurement, Pose
+from .aids import make
+from .aids.gnss_position import GnssPosition
 from .assembly import make_structure
 from .config import NavigatorConfig
 from .error_filter import gather, transition
+from .known_height import HeightModel
 from .local_filter import LocalFilter
 from .sample_noise import SampleNoise
 from .solution import body_rate, solution
@@ -79,20 +82,17 @@ class IntegratedFilter:
         self._config = config
         self._sample_noise = SampleNoise(config)
         self._height = HeightModel(config.height)
-        models: dict[str, PositionModel | VelocityModel] = {}
-        if config.gps.enabled:
-            models["gps"] = PositionModel(config.gps)
-        if config.bds.enabled:
-            models["bds"] = PositionModel(config.bds)
-        if config.doppler.enabled:
-            models["doppler"] = VelocityModel(config.doppler)
-        self.states = StateModel(config.inertial, config.states, (block for model in models.values() for block in model.blocks()))
-        for model in (*models.values(), self._height):
+        on = {name: settings for name, settings in config.aid.items() if settings.enabled}
+        models = [make(name, settings) for name, settings in on.items()]
+        own = [block for model in models for block in model.blocks()]
+        self.states = StateModel(config.inertial, config.states, [*own, *self._height.blocks()])
+        for model in models:
             model.place(self.states)
-        self.subfilters = [LocalFilter(name, model, config.isolation, getattr(config, name).timeout_s) for name, model in models.items()]
+        self._height.place(self.states)
+        self.subfilters = [LocalFilter(model, config.isolation) for model in models]
         self._motion: _Motion | None = None
-        self._aids = [getattr(config, name) for name in models]
-        self._receivers = [i for i, local in enumerate(self.subfilters) if isinstance(local.model, PositionModel)]
+        self._aids = list(on.values())
+        self._receivers = [i for i, local in enumerate(self.subfilters) if isinstance(local.model, GnssPosition)]
         self._structure: Structure = make_structure(config, np.zeros((self.states.n, self.states.n)), self._aids)
         self._fixes: dict[int, Measurement] = {}  # of the receivers, at the newest sample
         self.cross_check = (0.0, 0.0)
@@ -196,7 +196,7 @@ class IntegratedFilter:
 
     def fuse_height(self) -> None:
         """Fuse the known mean height, in every master."""
-        self._structure.add(self._height.measurement(self._pose(self.stamp_ns)))
+        self._structure.add(self._height.measurement(self._pose(self.stamp_ns), self._running().parameters))
 
     def close(self) -> list[TakenOut]:
         """End of what is judged at one sample: the solutions are compared, and what a faulty aid has put in is taken out; announced as a reset."""
@@ -317,4 +317,5 @@ class IntegratedFilter:
             nav[6:15] = (C_now @ exp_so3(w * log_so3(C_now.T @ C_before))).ravel()
             rate = rate + w * (m.rate[1] - m.rate[0])
         rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
-        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b)
+        a_n = (m.nav[3:6] - m.nav_before[3:6]) / m.dt if m.dt > 0.0 else np.zeros(3)
+        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, a_n)

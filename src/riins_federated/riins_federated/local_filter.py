@@ -7,12 +7,11 @@ Does not live here: the measurement models (aiding.py), the tests and the fusion
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import Any
 
 from riins_fdi.health import SUBFILTER_CODE, Change, HealthConfig, HealthMachine, HealthState
 
-from .aiding import PositionModel, VelocityModel, reported_covariance_ok
+from .aiding import AidModel
 from .config import Isolation
 from .structures import Verdict, Watched
 from .types import Aid, Judged, Reason, SubfilterReport
@@ -38,31 +37,30 @@ class LocalFilter:
 
     Parameters
     ----------
-    name : of the subfilter
-    model : its measurement model
-    isolation : fault test
-    timeout_s : absent after this long without a measurement
+    model : its measurement model, with the settings of the aid
+    isolation : fault test of an aid that has no settings of its own for it
 
     Attributes
     ----------
     late, malformed, no_fix : counts of what never reached the test; arrival decides them, so they are not rolled back
     """
 
-    def __init__(self, name: str, model: PositionModel | VelocityModel, isolation: Isolation, timeout_s: float) -> None:
-        self.name = name
+    def __init__(self, model: AidModel[Any], isolation: Isolation) -> None:
+        own = model.settings
+        self.name = model.name
         self.model = model
-        self.timeout_ns = round(timeout_s * 1e9)
+        self.timeout_ns = round(own.timeout_s * 1e9)
         self.late = 0
         self.malformed = 0
         self.no_fix = 0
         self._health = HealthMachine(
             HealthConfig(
-                isolate_count=isolation.isolate_after,
+                isolate_count=own.isolate_after or isolation.isolate_after,
                 clear_count=1,
-                hold_s=isolation.hold_s,
+                hold_s=own.hold_s if own.hold_s >= 0.0 else isolation.hold_s,
                 hold_after_failure=True,
                 hold_growth=1.0,
-                probation_count=isolation.readmit_after,
+                probation_count=own.readmit_after or isolation.readmit_after,
                 probation_s=0.0,
             )
         )
@@ -70,14 +68,7 @@ class LocalFilter:
 
     def defect(self, aid: Aid) -> Reason:
         """Why a measurement cannot be used at all, NONE if it can."""
-        rows = self.model.coordinates
-        if not aid.ok:
-            return Reason.NO_FIX
-        if np.shape(aid.z) != (3,) or np.shape(aid.R) != (3, 3) or not np.isfinite(aid.z[rows]).all():
-            return Reason.NOT_FINITE
-        if isinstance(self.model, PositionModel) and not (abs(aid.z[0]) <= np.pi / 2 and abs(aid.z[1]) <= 2 * np.pi):
-            return Reason.NOT_FINITE
-        return Reason.NONE if reported_covariance_ok(aid.R, rows) else Reason.COVARIANCE
+        return self.model.defect(aid)
 
     def judge(self, stamp_ns: int, verdict: Verdict, separated: bool) -> tuple[Judged, Change | None]:
         """Step the health machine by a verdict.

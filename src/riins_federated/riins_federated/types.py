@@ -50,6 +50,7 @@ class Reason(IntEnum):
     NOT_READY = 9
     DUPLICATE = 10
     INNOVATIONS = 11
+    FRAME = 12
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,10 @@ class Aid:
     ----------
     name : the subfilter it is for
     stamp_ns : measurement time
-    z : (3,), position: latitude, longitude [rad], height [m]; velocity: forward, starboard, down [m/s] (NaN third: not measured)
-    R : (3, 3), covariance, NED m^2 or FRD (m/s)^2; all zeros: unknown, the configured sigma is used
+    z : (m,), what the type of aid says: latitude, longitude [rad], height [m]; forward, starboard, down [m/s] (NaN third: not measured); ...
+    R : covariance, NED m^2 or FRD (m/s)^2 or as the type says; all zeros: unknown, the configured sigma is used
     ok : False: the sensor says it has no fix
+    frame : frame_id of its message, None: it came otherwise
     """
 
     name: str
@@ -123,6 +125,7 @@ class Aid:
     z: Array
     R: Array
     ok: bool = True
+    frame: str | None = None
 
 
 @dataclass(frozen=True)

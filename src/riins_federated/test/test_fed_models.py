@@ -1,4 +1,4 @@
-"""Measurement and error models against finite differences and closed forms."""
+"""Error states, noise and initial covariance against closed forms; the aids have test_fed_aids.py."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from fed_voyage import config
 from riins_core.earth import radii_s
 from riins_core.ins_error import State
 from riins_core.rotation import dcm_from_euler, exp_so3
-from riins_federated.aiding import HeightModel, Pose, PositionModel, VelocityModel, noise, reported_covariance_ok, white_inflation
+from riins_federated.aiding import noise, reported_covariance_ok, white_inflation
+from riins_federated.aids import make
 from riins_federated.information_sharing import checked_shares
 from riins_federated.state_blocks import StateModel
-from riins_federated.types import Aid, InitialState
+from riins_federated.types import InitialState
 
 MODELS = config(gps={"use_height": True}, doppler={"use_down": True, "scale_ppm": 1000.0}, inertial={"gyro_markov_deg_h": 0.01})
-LOG, FIX, MEAN = VelocityModel(MODELS.doppler), PositionModel(MODELS.gps), HeightModel(MODELS.height)
-STATES = StateModel(MODELS.inertial, MODELS.states, LOG.blocks())
-for one in (LOG, FIX, MEAN):
-    one.place(STATES)
+STATES = StateModel(MODELS.inertial, MODELS.states, make("doppler", MODELS.aid["doppler"]).blocks())
 
 
 def nominal() -> tuple[np.ndarray, np.ndarray]:
@@ -29,34 +27,6 @@ def nominal() -> tuple[np.ndarray, np.ndarray]:
     nav[3:6] = 5.0, -3.0, 0.2
     nav[6:15] = dcm_from_euler(0.05, -0.03, 2.2).ravel()
     return nav, np.array([1e-6] * 3 + [1e-3] * 3 + [0.0] * 3 + [0.004, 0.001])
-
-
-def pose(nav: np.ndarray, parameters: np.ndarray) -> Pose:
-    return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), np.array([0.01, 0.02, -0.03]))
-
-
-def spoiled(x: np.ndarray) -> tuple[Pose, np.ndarray]:
-    """The pose and the parameters that a navigator with errors x computes where the truth is `nominal`."""
-    nav, parameters = nominal()
-    STATES.correct(nav, parameters, -x)  # computed = true + error
-    return pose(nav, parameters), parameters
-
-
-@pytest.mark.parametrize("state", [s for s in range(STATES.n) if s not in range(9, 18)], ids=lambda s: STATES.labels[s])
-def test_measurement_matrices_are_the_derivatives_of_the_innovation(state: int) -> None:
-    aids = [
-        (FIX, Aid("gps", 0, np.array([0.7, 2.1, 12.0]), np.eye(3))),
-        (LOG, Aid("doppler", 0, np.array([4.0, 1.0, 0.1]), np.eye(3))),
-    ]
-    step = {"pos": 1.0, "vel": 1e-3, "phi": 1e-6, "dop": 1e-6}[STATES.labels[state][:3]]
-    x = np.zeros(STATES.n)
-    x[state] = step
-    for model, aid in aids:
-        slope = (model.measurement(aid, *spoiled(x)).z - model.measurement(aid, *spoiled(-x)).z) / (2.0 * step)
-        H = model.measurement(aid, *spoiled(np.zeros(STATES.n))).H
-        assert slope == pytest.approx(H[:, state], abs=2e-5 * max(1.0, np.abs(H).max()))
-    slope = (MEAN.measurement(spoiled(x)[0]).z - MEAN.measurement(spoiled(-x)[0]).z) / (2.0 * step)
-    assert slope == pytest.approx(MEAN.measurement(spoiled(x)[0]).H[:, state], abs=1e-6)
 
 
 def test_correction_undoes_the_error_it_estimates() -> None:

@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_core import frames
+from riins_core.rotation import euler_from_dcm, quat_from_dcm
 
 Array = NDArray[np.float64]
 STATUS_FIX = 0
+DVL_BOTTOM, DVL_WATER = 1, 2
+"""Dvl.velocity_mode."""
+DVL_BEAMS = 3
+"""With fewer good beams there is no velocity vector."""
 
 
 class RedundantImuSample(TypedDict):
@@ -54,12 +59,13 @@ class ImuReading(TypedDict):
 
 
 class AidReading(TypedDict):
-    """z, R, ok as in riins_federated.types.Aid."""
+    """z, R, ok, frame as in riins_federated.types.Aid."""
 
     stamp_ns: int
     z: Array
     R: Array
     ok: bool
+    frame: str
 
 
 def to_ns(stamp: Any) -> int:
@@ -119,17 +125,13 @@ def read_position_aid(msg: Any) -> AidReading:
         "z": np.array([np.radians(msg.latitude), np.radians(msg.longitude), msg.altitude], np.float64),
         "R": frames.enu_to_ned_covariance(covariance),
         "ok": int(msg.status.status) >= STATUS_FIX,
+        "frame": str(msg.header.frame_id),
     }
 
 
 def read_velocity(msg: Any) -> AidReading:
     """Read the GNSS velocity, geometry_msgs/TwistWithCovarianceStamped in ENU: z NED m/s, R (3, 3) NED, zeros when unknown."""
-    return {
-        "stamp_ns": to_ns(msg.header.stamp),
-        "z": frames.enu_to_ned(_vector(msg.twist.twist.linear)),
-        "R": frames.enu_to_ned_covariance(_linear_covariance(msg)),
-        "ok": True,
-    }
+    return _aid(msg, frames.enu_to_ned(_vector(msg.twist.twist.linear)), frames.enu_to_ned_covariance(_linear_covariance(msg)))
 
 
 def read_doppler(msg: Any) -> AidReading:
@@ -137,12 +139,55 @@ def read_doppler(msg: Any) -> AidReading:
     covariance = _linear_covariance(msg)
     if np.isnan(msg.twist.twist.linear.z):  # not measured; whatever its covariance says must not spread when the axes are turned
         covariance[2, :] = covariance[:, 2] = 0.0
-    return {
-        "stamp_ns": to_ns(msg.header.stamp),
-        "z": frames.flu_to_frd(_vector(msg.twist.twist.linear)),
-        "R": frames.flu_to_frd_covariance(covariance),
-        "ok": True,
-    }
+    return _aid(msg, frames.flu_to_frd(_vector(msg.twist.twist.linear)), frames.flu_to_frd_covariance(covariance))
+
+
+def read_odometer(msg: Any) -> AidReading:
+    """Read wheels, geometry_msgs/TwistWithCovarianceStamped in FLU: z (1,) speed forward m/s, R (3, 3) FRD with what is said of the zeros."""
+    return {**read_doppler(msg), "z": np.array([msg.twist.twist.linear.x], np.float64)}
+
+
+def read_height(msg: Any) -> AidReading:
+    """Read geometry_msgs/PoseWithCovarianceStamped of which the height is meant: z (1,) position.z in m, R (1, 1) of covariance[14]."""
+    return _aid(msg, np.array([msg.pose.pose.position.z], np.float64), _pose_covariance(msg)[2:3, 2:3])
+
+
+def read_heading(msg: Any) -> AidReading:
+    """Read geometry_msgs/PoseWithCovarianceStamped of which the yaw in ENU is meant: z (1,) heading from north, R (1, 1) of covariance[35]."""
+    heading = np.reshape(euler_from_dcm(_attitude(msg))[2], (1,)) if _quaternion_ok(msg) else np.full(1, np.nan)
+    return _aid(msg, heading, _pose_covariance(msg)[5:6, 5:6])
+
+
+def read_attitude(msg: Any) -> AidReading:
+    """Read geometry_msgs/PoseWithCovarianceStamped of which the orientation of FLU axes in ENU is meant.
+
+    Returns
+    -------
+    z : (4,), quaternion (x, y, z, w) from FRD to NED; R : (3, 3) of a small rotation about NED, rows 3 to 5 of the covariance
+    """
+    z = quat_from_dcm(_attitude(msg)) if _quaternion_ok(msg) else np.full(4, np.nan)
+    return _aid(msg, z, frames.enu_to_ned_covariance(_pose_covariance(msg)[3:, 3:]))
+
+
+def read_dvl_bottom(msg: Any) -> AidReading | None:
+    """Read the velocity of marine_acoustic_msgs/Dvl over ground, whose axes are FRD: z (3,) m/s, R (3, 3); None: it was relative to the water."""
+    return _dvl(msg) if int(msg.velocity_mode) == DVL_BOTTOM else None
+
+
+def read_dvl_water(msg: Any) -> AidReading | None:
+    """Read the velocity of marine_acoustic_msgs/Dvl through the water, as `read_dvl_bottom`; None: it was over ground."""
+    return _dvl(msg) if int(msg.velocity_mode) == DVL_WATER else None
+
+
+def read_dvl_beams(msg: Any) -> AidReading | None:
+    """Read the beams of marine_acoustic_msgs/Dvl: z (4,) m/s along each, NaN: none, R (4, 4) diagonal, 0: unknown; None: not over ground."""
+    if int(msg.velocity_mode) != DVL_BOTTOM:
+        return None
+    z = np.array(msg.beam_velocity, np.float64)
+    variance = np.array(msg.beam_velocity_covar, np.float64)
+    reading = _aid(msg, z, np.diag(np.where(variance == -1.0, 0.0, variance)))
+    reading["ok"] = bool(msg.beam_velocities_valid) and bool(np.isfinite(z).any())
+    return reading
 
 
 def read_initial_state(msg: Any) -> dict[str, Any]:
@@ -173,7 +218,8 @@ def read_nav_state(msg: Any) -> dict[str, Any]:
     Returns
     -------
     dict with stamp_ns, sequence, mode, validity (3,), lat, lon [rad], h [m], v_n (3,), rph (3,), rate_b (3,), bias_g (3,), bias_a (3,),
-    sigma_position (3,), sigma_velocity (3,), sigma_rph (3,), protection_radius, reset_count, reset (3,)
+    sigma_position (3,), sigma_velocity (3,), sigma_rph (3,), protection_radius, protection_heading [rad] (NaN in older recordings),
+    reset_count, reset (3,)
     """
 
     def triple(stem: str, suffixes: str) -> Array:
@@ -196,6 +242,7 @@ def read_nav_state(msg: Any) -> dict[str, Any]:
         "sigma_velocity": triple("sigma_velocity_", "north east down"),
         "sigma_rph": triple("sigma_", "roll pitch heading"),
         "protection_radius": float(msg.protection_radius),
+        "protection_heading": float(getattr(msg, "protection_heading", np.nan)),
         "reset_count": int(msg.reset_count),
         "reset": triple("reset_", "position velocity heading"),
     }
@@ -240,6 +287,35 @@ def read_inertial_calibration(msg: Any) -> dict[str, Any]:
     given = {kind: np.array(getattr(msg, f"{kind}_bias_covariance"), np.float64).reshape(3, 3) for kind in ("gyro", "accel")}
     covariances = {f"{kind}_covariance": frames.frd_to_flu_covariance(P) for kind, P in given.items()}
     return {"effective_ns": to_ns(msg.header.stamp), **biases, **covariances}
+
+
+def _aid(msg: Any, z: Array, R: Array) -> AidReading:
+    return {"stamp_ns": to_ns(msg.header.stamp), "z": z, "R": R, "ok": True, "frame": str(msg.header.frame_id)}
+
+
+def _dvl(msg: Any) -> AidReading:
+    reading = _aid(msg, _vector(msg.velocity), _covariance(msg.velocity_covar))
+    reading["ok"] = int(msg.num_good_beams) >= DVL_BEAMS
+    return reading
+
+
+def _pose_covariance(msg: Any) -> Array:
+    covariance = np.array(msg.pose.covariance, np.float64).reshape(6, 6)
+    return np.zeros((6, 6)) if covariance[0, 0] == -1.0 else covariance
+
+
+def _orientation(msg: Any) -> Array:
+    q = msg.pose.pose.orientation
+    return np.array([q.x, q.y, q.z, q.w], np.float64)
+
+
+def _quaternion_ok(msg: Any) -> bool:
+    q = _orientation(msg)
+    return bool(0.5 < float(q @ q) < 2.0)  # rounding, not rubbish
+
+
+def _attitude(msg: Any) -> Array:
+    return frames.attitude_from_enu(_orientation(msg))
 
 
 def _vector(v: Any) -> Array:

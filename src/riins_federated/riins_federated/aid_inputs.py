@@ -1,0 +1,70 @@
+"""From a message to a measurement of a declared aid, the same live and offline.
+
+Lives here: `AidInput`, `inputs`, `check_topics`.
+Does not live here: the readers (riins_node.readings), subscriptions (node.py), bags (riins_eval.renavigate).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from riins_core.settings import SettingError
+
+from .aiding import AidSettings, Input
+from .aids import AID_MODELS
+from .types import Aid
+
+
+@dataclass(frozen=True)
+class AidInput:
+    """What a declared aid listens to.
+
+    Attributes
+    ----------
+    name : of the aid
+    topic : as declared, or NAME/leaf of its type; relative to the namespace unless it begins with a slash
+    input : message type and reader
+    delay_ns : taken off the stamps of its messages
+    """
+
+    name: str
+    topic: str
+    input: Input
+    delay_ns: int
+
+    def read(self, message: Any) -> Aid | None:
+        """The measurement in a message, at the time at which it holds; None: the message is not for this aid."""
+        reading = self.input.read(message)
+        if reading is None:
+            return None
+        values = dict(reading)
+        return Aid(self.name, **{**values, "stamp_ns": values["stamp_ns"] - self.delay_ns})
+
+
+def inputs(aids: Mapping[str, AidSettings]) -> list[AidInput]:
+    """Inputs of the aids that are enabled, in their order."""
+    found = []
+    for name, settings in aids.items():
+        model = AID_MODELS[settings.type]
+        word = getattr(settings, "message", next(iter(model.inputs)))
+        if settings.enabled:
+            found.append(AidInput(name, settings.topic or f"{name}/{model.leaf}", model.inputs[word], round(settings.delay_s * 1e9)))
+    return found
+
+
+def check_topics(aids: Mapping[str, AidSettings]) -> None:
+    """Refuse two aids that would take the same measurements.
+
+    Raises
+    ------
+    SettingError
+        Two aids have one topic.
+    """
+    taken: dict[tuple[str, str], str] = {}
+    for one in inputs(aids):
+        key = (one.topic.strip("/"), one.input.part)
+        if key in taken:
+            raise SettingError(f'"{one.name}" has the topic "{one.topic}", which is that of "{taken[key]}"', (one.name, "topic"))
+        taken[key] = one.name

@@ -1,0 +1,69 @@
+"""Attitude of a sensor: a star tracker, a gyrocompass with roll and pitch, another inertial system.
+
+Lives here: `Attitude`; its own states are the three mounting angles that are not known.
+Does not live here: heading alone (heading.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from riins_core.ins_error import PHI
+from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3
+from riins_core.settings import setting
+from riins_node.readings import read_attitude
+
+from ..aiding import AidModel, AidSettings, Input, Measurement, Pose, noise, reported_covariance_ok
+from ..state_blocks import Block
+from ..types import Aid, Array
+
+
+@dataclass(frozen=True)
+class AttitudeAidSettings(AidSettings):
+    """A sensor of attitude."""
+
+    type: str = setting("attitude", "kind of aid", choices=("attitude",))
+    sigma_deg: tuple[float, ...] = setting((0.01, 0.01, 0.01), "sigma about north, east, down where none is reported", "deg", 1e-7, 180.0, length=3)
+    misalignment_deg: float = setting(0.0, "sigma of each mounting angle that is not known, three states; 0: known", "deg", 0.0, 20.0)
+
+
+class Attitude(AidModel[AttitudeAidSettings]):
+    """Attitude as a rotation. z: (4,) quaternion (x, y, z, w) from the sensor (FRD) to NED; R: (3, 3) rad^2, of a small rotation about NED."""
+
+    kind, Settings, leaf = "attitude", AttitudeAidSettings, "attitude"
+    inputs = {"": Input("geometry_msgs/msg/PoseWithCovarianceStamped", read_attitude)}
+
+    def __init__(self, name: str, settings: AttitudeAidSettings) -> None:
+        super().__init__(name, settings, size=4, rows=slice(0, 4))
+        self.C_bs = dcm_from_euler(*np.radians(settings.mounting_rpy_deg))
+        self.sigma = np.radians(settings.sigma_deg)
+
+    def own(self) -> list[Block]:
+        """Mounting angles, a rotation about the body axes."""
+        labels = dict.fromkeys(("mounting_x", "mounting_y", "mounting_z"), "rad")
+        return [self.state("mounting", labels, float(np.radians(self.settings.misalignment_deg)))]
+
+    def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
+        """The rotation vector in NED from the predicted to the measured attitude: phi, as errors are computed minus true."""
+        C_bs = exp_so3(parameters_of(self.value(parameters, "mounting"))) @ self.C_bs
+        z = log_so3(dcm_from_quat(aid.z) @ (pose.C_nb @ C_bs).T)
+        H = np.zeros((3, self.n))
+        H[:, PHI] = np.eye(3)
+        if "mounting" in self.at:
+            H[:, self.at["mounting"]] = -pose.C_nb
+        return Measurement(z, H, noise(aid.R, self.sigma, float(np.radians(self.settings.sigma_floor_deg))))
+
+    def plausible(self, z: Array) -> bool:
+        """A quaternion that can be normalised."""
+        return super().plausible(z) and bool(0.5 < float(z @ z) < 2.0)
+
+    def covariance_ok(self, aid: Aid) -> bool:
+        """Of three angles."""
+        return np.shape(aid.R) == (3, 3) and reported_covariance_ok(aid.R, slice(0, 3))
+
+
+def parameters_of(value: Array | float) -> Array:
+    """Three numbers of a state that may be off."""
+    return np.zeros(3) + value

@@ -1,0 +1,59 @@
+"""Speed of the wheels, and that a vehicle moves neither sideways nor off the road.
+
+Lives here: `Odometer`; its own states are the scale factor of the wheels and the mounting of the IMU against the direction of travel.
+Does not live here: logs (body_velocity.py), whose mounting and lever arm it shares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from riins_core.settings import setting
+from riins_node.readings import read_odometer
+
+from ..aiding import Input, Measurement, Pose
+from ..types import Aid, Array
+from .body_velocity import MountedModel, MountedSettings
+
+
+@dataclass(frozen=True)
+class OdometerSettings(MountedSettings):
+    """Wheels; the lever arm is that of the axle that does not steer."""
+
+    type: str = setting("odometer", "kind of aid", choices=("odometer",))
+    sigma_mps: float = setting(0.1, "sigma of the speed where the message gives none", "m/s", 1e-6, 100.0)
+    sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
+    sideways_mps: float = setting(0.1, "sigma of no sideways velocity, where the message gives none; 0: not used", "m/s", 0.0, 100.0)
+    down_mps: float = setting(0.1, "sigma of no velocity off the road, where the message gives none; 0: not used", "m/s", 0.0, 100.0)
+
+
+class Odometer(MountedModel[OdometerSettings]):
+    """Speed forward, and nothing sideways and down. z: (1,) [m/s]; R: (3, 3) FRD (m/s)^2, of the zeros too where it says so."""
+
+    kind, Settings, leaf = "odometer", OdometerSettings, "velocity"
+    inputs = {"": Input("geometry_msgs/msg/TwistWithCovarianceStamped", read_odometer)}
+
+    def __init__(self, name: str, settings: OdometerSettings) -> None:
+        super().__init__(name, settings, size=1, rows=slice(0, 1))
+        self.axes = np.array([0, *([1] if settings.sideways_mps else []), *([2] if settings.down_mps else [])])
+        self.sigma = np.array([settings.sigma_mps, settings.sideways_mps, settings.down_mps])
+
+    def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
+        """Innovation, H and R; the wheels' scale factor is that of the speed alone."""
+        seen = self.mounted(pose, parameters)
+        gain = np.array([1.0 + self.number(parameters, "scale"), 1.0, 1.0])
+        H = np.zeros((len(self.axes), self.n))
+        seen.fill(H, self.at, (gain[:, None] * np.eye(3))[self.axes])
+        if "scale" in self.at:
+            H[0, self.at["scale"].start] = -seen.v[0]
+        told = np.diag(aid.R)
+        variance = np.where(told > 0.0, told, self.sigma**2)
+        variance[0] = max(variance[0], self.settings.sigma_floor_mps**2)
+        measured = np.array([aid.z[0], 0.0, 0.0])
+        return Measurement((measured - gain * seen.v)[self.axes], H, np.diag(variance[self.axes]))
+
+    def covariance_ok(self, aid: Aid) -> bool:
+        """Variances that are not negative; 0: not told."""
+        return np.shape(aid.R) == (3, 3) and bool((np.isfinite(np.diag(aid.R)) & (np.diag(aid.R) >= 0.0)).all())
