@@ -23,6 +23,7 @@ from sensor_msgs.msg import Imu
 from riins_core.frames import frd_to_flu
 from riins_core.sensor_errors import normal
 from riins_imu_fusion.node import ImuFusionNode, main
+from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.selection import Selection
 from riins_msgs.msg import FusedImu, FusionMethod, InertialFdi, RedundantImu, SensorUse, TriadFdi
 from riins_msgs.srv import SetFusionMethod, SetSensorUse
@@ -263,6 +264,37 @@ def test_a_method_is_chosen_while_running_and_published_with_the_stamp_that_hold
     bench.until(lambda: bench.node._pipeline.selected(START + 40 * DT).fusion == "wls")
     bench.feed(30, 45)
     assert bench.node._pipeline.selected() == ("wls", "svd", "none", True)
+
+
+@pytest.mark.parametrize("bench", [["-p", "method:=irfdc", "-p", "drift.rfdc.filter:=aekpf", "-p", "drift.rfdc.particles:=20"]], indirect=True)
+def test_the_node_runs_irfdc_and_publishes_what_the_pipeline_says_offline(bench: Bench) -> None:
+    """By parameter from the first sample, by service from a stamp on to rfdc; the same samples in one block give the same numbers."""
+    drift = 3.0 * bench.sigma[0, 1]
+
+    def spoil(values: dict[str, Any]) -> None:
+        values["gyro"][1] += drift
+
+    client = bench.other.create_client(SetFusionMethod, "imu_fusion/set_fusion_method")
+    bench.until(client.service_is_ready)
+    bench.feed(0, 40, spoil)
+    future = client.call_async(SetFusionMethod.Request(fusion="rfdc", effective=convert.to_stamp(START + 60 * DT)))
+    bench.until(future.done)
+    assert future.result().success and "fusion rfdc (whose drift it is is a guess" in future.result().message
+    bench.feed(40, 90, spoil)
+    heard: list[FusionMethod] = []
+    bench.other.create_subscription(FusionMethod, "fdi/method", heard.append, qos.latched(100))
+    bench.until(lambda: len(heard) >= 2)
+    assert [(m.fusion, convert.to_ns(m.header.stamp)) for m in heard] == [("irfdc", 0), ("rfdc", START + 60 * DT)]
+    offline = FusionPipeline(bench.node._config)
+    assert offline.config.drift.rfdc.filter == "aekpf" and offline.set_method("rfdc", effective_ns=START + 60 * DT).success
+    k = np.arange(90)
+    gyro = bench.array.H @ RATE + bench.sigma[0] * normal(3, 0, 0, 90, 6)
+    gyro[:, 1] += drift
+    accel = bench.array.H @ FORCE + bench.sigma[1] * normal(3, 1, 0, 90, 6)
+    block = offline.process(START + k * DT, k, gyro, accel, np.full(90, 63), np.full(90, 63))
+    rates = np.array([[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z] for m in bench.got["fused"]])
+    np.testing.assert_allclose(rates, frd_to_flu(block.rate), rtol=0, atol=1e-15)
+    assert np.any(block.gyro_drift[59] != 0.0) and np.all(block.gyro_drift[60] == 0.0)
 
 
 @pytest.mark.parametrize(("name", "value"), [("method", "opt"), ("parity_test", "svd"), ("sequential_test", "cusum"), ("adapt_noise", True)])
