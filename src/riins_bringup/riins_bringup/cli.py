@@ -179,6 +179,10 @@ def up(
     duration: Annotated[float, typer.Option(help="stop after this much measurement time [s] (0: all of it)")] = 0.0,
     seed: Annotated[int, typer.Option(help="seed of all noise (-1: the scenario's)")] = -1,
     namespace: Annotated[str, typer.Option(help="namespace of all nodes and topics")] = "",
+    nmea: Annotated[
+        str, typer.Option(help="send NMEA 0183 there: udp://HOST:PORT, serial:///dev/NAME?baud=N; several by commas", metavar="ADDRESS")
+    ] = "",
+    motion: Annotated[bool, typer.Option("--motion", help="heave and attitude at the IMU rate on /nav/motion (with --nmea in any case)")] = False,
     log_level: Annotated[str, typer.Option(help="least severe message the nodes log: debug, info, warn, error, fatal")] = "info",
     logs: Annotated[
         Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")
@@ -197,6 +201,7 @@ def up(
     from riins_core.settings import build
 
     values: dict[str, Any] = {"rate": rate, "duration_s": duration, "seed": seed, "namespace": namespace, "log_level": log_level}
+    values |= {"nmea": nmea, "motion": motion}
     values |= {"bag": str(bag)} if bag is not None else {"scenario": scenario}
     values |= {"record": str(record)} if record is not None else {}
     graph = build_graph(build(GraphSettings, values))

@@ -20,6 +20,7 @@ from riins_core.settings import SettingError, as_mapping, build, field_types, fl
 CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
 IMU_TOPIC = "/rimu/raw"
+_TRUTH = {"true": True, "false": False}
 AID_TOPICS = {
     "gps": "gps/fix",
     "bds": "bds/fix",
@@ -44,6 +45,8 @@ class GraphSettings:
     log_level: str = setting("info", "least severe message the nodes print", choices=("debug", "info", "warn", "error", "fatal"))
     seed: int = setting(-1, "seed of all noise; -1: the scenario's own", low=-1)
     duration_s: float = setting(0.0, "stop after this much measurement time; 0: the whole scenario or bag", "s", low=0.0)
+    motion: bool = setting(False, "heave and attitude at the IMU rate on nav/motion; nmea has it in any case")
+    nmea: str = setting("", "send NMEA 0183 there, several separated by commas: udp://HOST:PORT, serial:///dev/NAME?baud=N; empty: nowhere")
     start_delay_s: float = setting(10.0, "wall time from launching to the first sample, for processes to start and to find each other", "s", low=0.0)
 
     def __post_init__(self) -> None:
@@ -171,7 +174,9 @@ def settings_from_words(words: Mapping[str, str]) -> GraphSettings:
     for name, word in words.items():
         kind = kinds.get(name, str)
         try:
-            values[name] = word if kind is str else kind(word)
+            values[name] = word if kind is str else _TRUTH[word.lower()] if kind is bool else kind(word)
+        except KeyError:
+            raise SettingError(f'"{name}" must be true or false, not {word!r}', (name,)) from None
         except ValueError:
             raise SettingError(f'"{name}" must be a number, not {word!r}', (name,)) from None
     return build(GraphSettings, values)
@@ -303,10 +308,26 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters"),
         ),
     ]
+    nodes += _bridge(settings)
     if settings.record:
         parameters = {"path": str(Path(settings.record).absolute())}
         files = {CONFIGURATION: configuration}
         nodes.append(_spec(settings, "riins_bag", "recorder", "observer", parameters, files=files))
+    return nodes
+
+
+def _bridge(settings: GraphSettings) -> list[NodeSpec]:
+    """The nodes motion and nmea, where they are asked for."""
+    from riins_nmea.config import NmeaConfig
+
+    nodes = []
+    outputs = [word.strip() for word in settings.nmea.split(",") if word.strip()]
+    if settings.motion or outputs:
+        nodes.append(_spec(settings, "riins_nmea", "motion", "consumer", {}, subscribes=("nav/state",), publishes=("nav/motion",)))
+    if outputs:
+        build(NmeaConfig, {"outputs": outputs})  # a wrong address is told before anything starts
+        listens = ("nav/state", "nav/motion", "nav/subfilters")
+        nodes.append(_spec(settings, "riins_nmea", "nmea", "consumer", {"outputs": outputs}, subscribes=listens))
     return nodes
 
 
