@@ -46,6 +46,7 @@ def nav_states(
     mode: NDArray[Any] | int = NAVIGATING,
     validity: NDArray[Any] | None = None,
     protection_radius: Floats | float = 0.0,
+    protection_heading: Floats | float = 0.0,
     reset_count: NDArray[Any] | int = 0,
     reset: Floats | None = None,
 ) -> Fields:
@@ -57,7 +58,7 @@ def nav_states(
     sequence : number of the first
     rate, bias_g, bias_a : (m, 3), FRD, rad/s, rad/s, m/s^2; None: zeros
     covariance : (m, n, n), n >= 9, of position, velocity and phi first; None: zeros
-    mode, validity, protection_radius, reset_count, reset : (m,), (m, 3), (m,), (m,), (m, 3) as in riins_federated NavSolution
+    mode, validity, protection_radius, protection_heading, reset_count, reset : (m,), (m, 3), (m,), (m,), (m,), (m, 3) as in NavSolution
 
     Returns
     -------
@@ -83,6 +84,7 @@ def nav_states(
         "pitch": pitch,
         "heading": heading,
         "protection_radius": protection_radius,
+        "protection_heading": protection_heading,
         "reset_count": reset_count,
         "reset_position": reset[:, 0],
         "reset_velocity": reset[:, 1],
@@ -110,7 +112,8 @@ def solution_states(solutions: Sequence[Any], sequence: int) -> Fields:
         rate=np.array([s.rate_b for s in solutions]), bias_g=np.array([s.bias_g for s in solutions]), bias_a=np.array([s.bias_a for s in solutions]),
         covariance=np.array([s.P[:9, :9] for s in solutions]), mode=np.array([int(s.mode) for s in solutions], np.uint8),
         validity=np.array([[int(v) for v in s.validity] for s in solutions], np.uint8),
-        protection_radius=np.array([s.protection_radius for s in solutions]), reset_count=np.array([s.reset_count for s in solutions], np.uint32),
+        protection_radius=np.array([s.protection_radius for s in solutions]),
+        protection_heading=np.array([s.protection_heading for s in solutions]), reset_count=np.array([s.reset_count for s in solutions], np.uint32),
         reset=np.array([s.reset for s in solutions], np.float64),
     )  # fmt: skip
 

@@ -13,8 +13,10 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from rosbags.typesys.store import Typestore
 
-from riins_bag.bag import BagReader, BagWriter, serialize
+from riins_bag.bag import BagReader, BagWriter, deserialize, serialize, type_hash
+from riins_bag.typesys import OWN_PACKAGE
 from riins_core.frames import LocalFrame
 from riins_imu_fusion.reporting import inertial_fdi
 from riins_imu_fusion.types import FdiStatus
@@ -112,6 +114,8 @@ class RunWriter:
             self.position(name, stamp_ns, block)
             return
         good = np.flatnonzero(block.valid)
+        if not good.size:
+            return
         stamps = stamp_ns[good]
         if isinstance(block, VelocityBlock):
             topic, kind, content = "velocity", TWIST, fields.doppler(stamps, block.v_b[good], block.covariance, f"{name}_link")
@@ -184,16 +188,26 @@ class RunWriter:
         self._bag.write_block(topic, NAV_STATE, track.stamp_ns, blocks.nav_states(track, 0))
 
     def copy(self, reader: BagReader, topics: Iterable[str], drop: Iterable[str] = ()) -> None:
-        """Copy topics of another bag as they are, but for `drop`."""
+        """Copy topics of another bag as they are, but for `drop`; messages of ours that have changed since it was recorded, as they are now.
+
+        A bag holds one definition of a type, and the results have today's; a field that the recording does not have is 0.
+        """
         wanted = [t for t in reader.topics if t in set(topics) and t not in set(drop)]
-        schemas = reader.schemas()
+        schemas, older = reader.schemas(), set()
         for topic in wanted:
             msgtype = reader.topics[topic].msgtype
             digest = reader.channels()[topic].metadata.get("topic_type_hash") or None
             schema = schemas[msgtype]
+            if digest and msgtype.startswith(OWN_PACKAGE) and digest != type_hash(msgtype):
+                older.add(topic)
+                self._bag.add_topic(topic, msgtype, reader.qos(topic) or None)
+                continue
             self._bag.add_topic(topic, msgtype, reader.qos(topic) or None, schema=schema.data.decode(), digest=digest, encoding=schema.encoding)
         for message in reader.messages(wanted):
-            self._bag.write(message.topic, message.msgtype, message.data, message.log_ns)
+            data = message.data
+            if message.topic in older:
+                data = serialize(message.msgtype, _fields_of(deserialize(message.msgtype, data, reader.typestore), reader.typestore))
+            self._bag.write(message.topic, message.msgtype, data, message.log_ns)
 
     def _covariance_cdr(self, solution: Any, labels: Sequence[str]) -> bytes:
         """CDR of a NavCovariance: all have the same layout, so that only stamp and matrix (the last field) are put into the first one's bytes."""
@@ -204,3 +218,10 @@ class RunWriter:
         seconds, nanoseconds = divmod(int(solution.stamp_ns), 1_000_000_000)
         stamp = np.array([seconds, nanoseconds], "<u4").tobytes()
         return template[:4] + stamp + template[12 : len(template) - P.nbytes] + P.astype("<f8").tobytes()
+
+
+def _fields_of(message: Any, store: Typestore) -> Any:
+    """A message of another definition as nested mappings."""
+    if hasattr(message, "__msgtype__"):
+        return {name: _fields_of(getattr(message, name), store) for name, _ in store.fielddefs[message.__msgtype__][1]}
+    return [_fields_of(item, store) for item in message] if isinstance(message, list) else message

@@ -62,15 +62,21 @@ def what_changed(before: FederatedReport | None, report: FederatedReport) -> str
 
 def diagnosis(report: FederatedReport, refused_initial_states: int) -> list[tuple[str, str, str, dict[str, Any]]]:
     """Statuses for diagnostic_msgs: (name, level, message, values), the navigator's and one for each subfilter."""
-    counts = {name: getattr(report, name) for name in ("imu_received", "imu_lost", "imu_rejected", "restarts", "rollbacks")}
+    counts: dict[str, Any] = {name: getattr(report, name) for name in ("imu_received", "imu_lost", "imu_rejected", "restarts", "rollbacks")}
     counts["initial_states_refused"] = refused_initial_states
+    apart = report.cross_check > report.cross_check_threshold
+    if report.cross_check_threshold:
+        counts["cross-check of the receivers"] = f"{report.cross_check:.2f} (threshold {report.cross_check_threshold:.2f})"
     level = "ok" if report.mode is Mode.NAVIGATING else "warn" if report.mode in (Mode.COASTING, Mode.WAITING, Mode.ALIGNMENT) else "error"
     word = {Mode.COASTING: "coasting: no aid is fused", Mode.WAITING: "waiting for an initial state"}.get(report.mode, report.mode.name.lower())
+    if apart:
+        level, word = ("warn" if level == "ok" else level), f"{word}; the satellite receivers contradict each other"
     statuses = [("navigator", level, word, counts)]
     for sub in report.subfilters:
         values = {
             "statistic": f"{sub.statistic:.3f}",
             "threshold": f"{sub.threshold:.3f}",
+            "separation": f"{sub.separation:.2f} (threshold {sub.separation_threshold:.2f})",
             "reason of last rejection": sub.reason.name.lower(),
             "accepted": sub.accepted,
             "rejected": sub.rejected,

@@ -178,6 +178,7 @@ def nav_state(solution: Any, sequence: int) -> Fields:
         "pitch": pitch,
         "heading": yaw,
         "protection_radius": float(solution.protection_radius),
+        "protection_heading": float(solution.protection_heading),
         "reset_count": int(solution.reset_count),
         "reset_position": float(reset_position),
         "reset_velocity": float(reset_velocity),

@@ -52,6 +52,8 @@ def federated_status(report: Any, text: str = "", events: Iterable[Any] = ()) ->
         "mode": int(report.mode),
         "subfilters": [_subfilter(sub) for sub in report.subfilters],
         **{name: int(getattr(report, name)) for name in counters},
+        "cross_check": float(report.cross_check),
+        "cross_check_threshold": float(report.cross_check_threshold),
         "events": [nav_event(event) for event in events],
         "text": text,
     }
@@ -151,6 +153,8 @@ def _subfilter(sub: Any) -> Fields:
         "since": int(sub.since_ns),
         "statistic": float(sub.statistic),
         "threshold": float(sub.threshold),
+        "separation": float(sub.separation),
+        "separation_threshold": float(sub.separation_threshold),
         "beta": float(sub.beta),
         "information_trace": np.asarray(sub.information_trace, np.float64),
         "accepted": int(sub.accepted),

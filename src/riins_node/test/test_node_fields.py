@@ -64,6 +64,7 @@ def solution(**changes: Any) -> Any:
         "mode": 2,
         "validity": (0, 1, 2),
         "protection_radius": 33.0,
+        "protection_heading": 0.01,
         "reset_count": 2,
         "reset": (1.0, 2.0, 3.0),
     }
@@ -268,9 +269,12 @@ def test_imu_obeys_rep_145() -> None:
 def test_status_messages() -> None:
     sub = SimpleNamespace(
         name="gps", state=2, reason=1, stamp_ns=STAMP, since_ns=5, statistic=20.0, threshold=9.0, beta=0.5, information_trace=(1.0, 2.0),
-        accepted=1, rejected=2, late=3, malformed=4, no_fix=6,
+        accepted=1, rejected=2, late=3, malformed=4, no_fix=6, separation=7.0, separation_threshold=23.0,
     )  # fmt: skip
-    report = SimpleNamespace(stamp_ns=STAMP, mode=2, subfilters=(sub,), imu_received=9, imu_lost=1, imu_rejected=2, restarts=0, rollbacks=3)
+    report = SimpleNamespace(
+        stamp_ns=STAMP, mode=2, subfilters=(sub,), imu_received=9, imu_lost=1, imu_rejected=2, restarts=0, rollbacks=3,
+        cross_check=1.5, cross_check_threshold=23.0,
+    )  # fmt: skip
     event = SimpleNamespace(stamp_ns=STAMP, kind=0, target="gps", state=2, reason=1, text="gps: suspect -> isolated (nis)")
     other = SimpleNamespace(stamp_ns=7, kind=1, target="", state=None, reason=0, text="navigation begins")
     msg = convert.fill(FederatedStatus, fields.federated_status(report, "gps isolated", [event, other]))
@@ -279,6 +283,7 @@ def test_status_messages() -> None:
     assert (first.kind, second.kind, second.target, second.state) == (NavEvent.HEALTH, NavEvent.BEGUN, "", 0)
     assert (msg.subfilters[0].name, msg.subfilters[0].since.nanosec, list(msg.subfilters[0].information_trace)) == ("gps", 5, [1.0, 2.0])
     assert (msg.subfilters[0].malformed, msg.subfilters[0].no_fix) == (4, 6)
+    assert (msg.subfilters[0].separation, msg.subfilters[0].separation_threshold, msg.cross_check) == (7.0, 23.0, 1.5)
     assert (msg.imu_received, msg.rollbacks, msg.text) == (9, 3, "gps isolated")
     triad = SimpleNamespace(
         parity=np.ones(3), statistic=1.0, threshold=2.0, dof=3, detected=False, suspect=-1, state=(0, 2), reason=(0, 1), since_ns=(0, STAMP),

@@ -36,7 +36,7 @@ class TrueSolution:
     force_b : (3,), specific force in FRD, m/s^2
     bias_g, bias_a : (3,), true biases of the fused triad, rad/s, m/s^2; zeros where not given
     P : (15, 15), zeros
-    mode, validity, protection_radius, reset_count, reset : navigating, valid, none
+    mode, validity, protection_radius, protection_heading, reset_count, reset : navigating, valid, none
     """
 
     stamp_ns: int
@@ -54,6 +54,7 @@ class TrueSolution:
     mode: int = _NAVIGATING
     validity: tuple[int, int, int] = (0, 0, 0)
     protection_radius: float = 0.0
+    protection_heading: float = 0.0
     reset_count: int = 0
     reset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
