@@ -117,3 +117,19 @@ def test_disabled_aid_has_no_node(tmp_path):
     path.write_text(yaml.safe_dump(scenario))
     names = [n.name for n in build_graph(GraphSettings(scenario=str(path))).nodes]
     assert "bds" not in names and "gps" in names
+
+
+def test_bridge_only_where_asked_and_a_wrong_address_at_once():
+    """nmea brings motion with it; neither is there otherwise; both are consumers that hear the navigator."""
+    names = [n.name for n in build_graph(GraphSettings(scenario="harbour", motion=True)).of("consumer")]
+    assert names == ["imu_fusion", "navigator", "motion"]
+    words = {"scenario": "harbour", "nmea": "udp://127.0.0.1:10110, serial:///dev/ttyS0?baud=38400", "motion": "False"}
+    graph = build_graph(settings_from_words(words))
+    assert [n.name for n in graph.of("consumer")] == ["imu_fusion", "navigator", "motion", "nmea"]
+    assert graph.node("nmea").parameters["outputs"] == ["udp://127.0.0.1:10110", "serial:///dev/ttyS0?baud=38400"]
+    heard = {topic for n in graph.of("consumer") for topic in n.publishes}
+    assert set(graph.node("nmea").subscribes) <= heard
+    with pytest.raises(SettingError, match="udp://HOST:PORT"):
+        build_graph(GraphSettings(scenario="harbour", nmea="127.0.0.1:10110"))
+    with pytest.raises(SettingError, match="true or false"):
+        settings_from_words({"motion": "perhaps"})
