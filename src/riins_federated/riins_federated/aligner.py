@@ -196,7 +196,8 @@ class Aligner:
         text, self._news = "; ".join(self._news), []
         source = f"alignment ({self.method})"
         initial = found.initial_state(source) if found is not None else None
-        return AlignmentReport(now, self._phase, self.method, elapsed, text, rph, self._sigma.copy(), self._place.copy(), initial, ended)
+        begin = self.command.stamp_ns
+        return AlignmentReport(now, begin, self._phase, self.method, elapsed, text, rph, self._sigma.copy(), self._place.copy(), initial, ended)
 
     def _end(self, now: int, elapsed: float, ended: str, why: str, found: Found | None = None) -> AlignmentReport:
         self.ended = True

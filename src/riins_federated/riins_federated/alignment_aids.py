@@ -1,13 +1,13 @@
-"""What the aids of a navigator are to an alignment: place, velocity over ground, or velocity of a log; and which of them serve.
+"""What the aids of a navigator are to an alignment: place, velocity over ground or of a log, heading; and which of them serve.
 
-Lives here: `Role`, `roles`, `imu_noise`, `Fixes`, `fixes`, `velocities`.
+Lives here: `Role`, `roles`, `imu_noise`, `Fixes`, `fixes`, `velocities`, `heading_at`.
 Does not live here: the measurements (alignment_store.py), the methods (alignment_methods.py).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +15,13 @@ import numpy as np
 from riins_core.alignment.stationary import ImuNoise
 from riins_core.alignment.stored import Aids
 from riins_core.earth import radii
+from riins_core.rotation import dcm_from_euler
 from riins_core.sensor_errors import DEG_PER_H, DEG_PER_SQRT_H, MICRO_G
 
-from .aids.body_velocity import BodyVelocity
+from .aids.body_velocity import BodyVelocitySettings
 from .aids.gnss_position import GnssPositionSettings
 from .aids.gnss_velocity import GnssVelocitySettings
+from .aids.heading import HeadingSettings
 from .alignment_store import AlignmentData, Window
 from .config import NavigatorConfig
 from .types import Array
@@ -34,12 +36,14 @@ class Role:
 
     Attributes
     ----------
-    kind : place, velocity (NED) or log (FRD)
+    kind : place, velocity (NED), log (FRD) or heading
     sigma : (3,), where a measurement tells none; m or m/s
     floor : a smaller one is raised to this
     lever : (3,), m, FRD
     slow : 1 sigma of an error that no mean takes away, m
     log_prior : 1 sigma of yaw [rad] and scale factor
+    mounting : (3, 3), from the axes of a log to the body
+    offset : what a heading sensor reads too much, rad
     """
 
     kind: str
@@ -48,10 +52,12 @@ class Role:
     lever: Array
     slow: float = 0.0
     log_prior: tuple[float, float] = (0.0, 0.0)
+    mounting: Array = field(default_factory=lambda: np.eye(3))
+    offset: float = 0.0
 
 
 def roles(config: NavigatorConfig) -> dict[str, Role]:
-    """Roles of the aids that serve an alignment, by name of the subfilter."""
+    """Roles of the declared aids that serve an alignment, by name of the subfilter."""
     found: dict[str, Role] = {}
     for name, aid in config.aid.items():
         if not aid.enabled:
@@ -60,9 +66,13 @@ def roles(config: NavigatorConfig) -> dict[str, Role]:
             found[name] = Role("place", np.array(aid.sigma_m), aid.sigma_floor_m, np.array(aid.lever_arm_m), aid.markov_sigma_m)
         elif isinstance(aid, GnssVelocitySettings):
             found[name] = Role("velocity", np.array(aid.sigma_mps), aid.sigma_floor_mps, np.array(aid.lever_arm_m))
-        elif aid.type == BodyVelocity.kind:
+        elif isinstance(aid, BodyVelocitySettings):
+            mounting = dcm_from_euler(0.0, math.radians(aid.mounting_pitch_deg), math.radians(aid.mounting_yaw_deg))
             prior = (math.radians(aid.misalignment_deg), aid.scale_ppm * 1e-6)
-            found[name] = Role("log", np.array(aid.sigma_mps), aid.sigma_floor_mps, np.array(aid.lever_arm_m), log_prior=prior)
+            found[name] = Role("log", np.array(aid.sigma_mps), aid.sigma_floor_mps, np.array(aid.lever_arm_m), log_prior=prior, mounting=mounting)
+        elif isinstance(aid, HeadingSettings):
+            sigma = math.radians(math.hypot(aid.sigma_deg, aid.deviation_deg))
+            found[name] = Role("heading", np.full(3, sigma), math.radians(aid.sigma_floor_deg), np.zeros(3), offset=math.radians(aid.offset_deg))
     return found
 
 
@@ -148,12 +158,27 @@ def velocities(known: dict[str, Role], data: AlignmentData, window: Window) -> A
             variance = np.array([_variance(a.R, role) for a in taken])
             unmeasured = ~np.isfinite(value)
             value[unmeasured], variance[unmeasured] = 0.0, UNMEASURED_MPS**2
+            if kind == "log":
+                value = value @ role.mounting.T
             index = window.index(np.array([a.stamp_ns for a in taken], np.int64))
             keep = np.concatenate([np.diff(index) > 0, [True]]) & (index > 0)
             best = Aids(kind, index[keep], value[keep], np.sqrt(variance[keep].mean(axis=0)), role.lever, role.log_prior)
         if best is not None and len(best.index) >= 10:
             return best
     return best
+
+
+def heading_at(known: dict[str, Role], data: AlignmentData, window: Window) -> tuple[float, float] | None:
+    """Heading at the beginning of a window and its sigma, rad: the first measurement of a heading sensor; None where there is none."""
+    for name, role in known.items():
+        taken = data.aids((name,), window.end_ns) if role.kind == "heading" else []
+        taken = [a for a in taken if a.stamp_ns > window.edges[0]]
+        if taken:
+            reported = float(taken[0].R[0, 0])
+            sigma = math.sqrt(reported) if math.isfinite(reported) and reported > 0.0 else float(role.sigma[0])
+            turned = float(window.rate[: max(1, int(window.index(np.array([taken[0].stamp_ns]))[0])), 2].sum()) * window.dt
+            return float(taken[0].z[0]) - role.offset - turned, max(sigma, role.floor)
+    return None
 
 
 def _variance(R: Array, role: Role) -> Array:

@@ -82,15 +82,27 @@ def hot_start(rate: Array, force: Array, dt: float, lat: float, imu: ImuNoise, s
         check_still(rate, force, dt, lat, imu.arw, imu.vrw, imu.bias_g, imu.bias_a)
         C = triad(force.mean(axis=0), rate.mean(axis=0), lat)
         P = bias_covariance(lat, C, (imu.bias_g**2 + imu.arw**2 / total) * np.eye(3), (imu.bias_a**2 + imu.vrw**2 / total) * np.eye(3))
-    difference = math.remainder(saved.heading - float(euler_from_dcm(C)[2]), 2.0 * math.pi)
+    difference, variance = check_heading(Alignment("measured", C, P, total), saved)
+    phi, P, _ = update(np.zeros(3), P, np.array([difference]), np.array([[0.0, 0.0, 1.0]]), np.array([[variance]]))
+    return Alignment("hot start", exp_so3(phi) @ C, P, total)
+
+
+def check_heading(measured: Alignment, saved: SavedHeading) -> tuple[float, float]:
+    """Saved less measured heading and the variance of the saved one, rad.
+
+    Raises
+    ------
+    AlignmentError
+        They differ by more than chance allows.
+    """
+    difference = math.remainder(saved.heading - measured.euler[2], 2.0 * math.pi)
     variance = saved.sigma**2 + saved.swing**2
-    limit = math.sqrt(chi2.isf(FALSE_ALARM, 1) * (P[2, 2] + variance))
+    limit = math.sqrt(chi2.isf(FALSE_ALARM, 1) * (measured.P[2, 2] + variance))
     if abs(difference) > limit:
         raise AlignmentError(
             f"the saved heading is {math.degrees(abs(difference)):.2f} deg off the measured one, {math.degrees(limit):.2f} allowed: she was turned"
         )
-    phi, P, _ = update(np.zeros(3), P, np.array([difference]), np.array([[0.0, 0.0, 1.0]]), np.array([[variance]]))
-    return Alignment("hot start", exp_so3(phi) @ C, P, total)
+    return difference, variance
 
 
 def align_known_heading(

@@ -17,12 +17,13 @@ from riins_core.alignment.result import Alignment, AlignmentError, TooSoon, bias
 from riins_core.alignment.stationary import ImuNoise, StationarySettings, align_stationary
 from riins_core.alignment.stored import Aids, Pass
 from riins_core.alignment.swaying import SwayingSettings, align_swaying
+from riins_core.earth import OMEGA_IE
 from riins_core.ins_error import BA, BG, PHI, POS, VEL
 from riins_core.rotation import euler_from_dcm
 
-from .alignment_aids import Fixes, Role, fixes, imu_noise, moved, velocities
+from .alignment_aids import Fixes, Role, fixes, heading_at, imu_noise, moved, velocities
 from .alignment_detect import Motion
-from .alignment_hot_start import SavedHeading, align_known_heading, hot_start
+from .alignment_hot_start import SavedHeading, align_known_heading, check_heading, hot_start
 from .alignment_in_motion import InMotionSettings, align_in_motion
 from .alignment_settings import AlignmentSettings
 from .alignment_store import AlignmentData, Window
@@ -138,23 +139,39 @@ def attempt(method: str, task: Task, until_ns: int, motion: Motion) -> Found:
     if method == "redundant":
         return _at_rest(_redundant(window, lat, imu), window, here, imu, task)
     if method == "swaying":
-        length = min(300.0, window.length_s - window.dt)
-        settings = SwayingSettings(coarse_s=max(60.0, length), swing_m=task.settings.swing_m)
-        _, run = align_swaying(window.rate, window.force, window.dt, lat, imu, settings, float(here.place[1]), float(here.place[2]))
+        _, run = _swaying(window, here, imu, task)
         return _of_pass(run, window, here, task)
-    heading = _heading(task)
+    heading = _heading(method, task, window)
     if motion is Motion.REST:
         return _at_rest(hot_start(window.rate, window.force, window.dt, lat, imu, heading), window, here, imu, task)
-    index = np.arange(1, int(window.length_s / 5.0) + 1) * round(5.0 / window.dt)
-    still = Aids("place", index[index <= len(window.rate)], np.zeros((int(np.sum(index <= len(window.rate))), 3)), np.full(3, task.settings.swing_m))
-    run = align_known_heading(window.rate, window.force, window.dt, tuple(here.place), imu, still, heading, task.settings.swing_m)
-    return _of_pass(run, window, here, task)
+    return _of_pass(_swaying_known(window, here, imu, task, heading), window, here, task)
 
 
-def _heading(task: Task) -> SavedHeading:
-    if task.heading is None:
-        raise AlignmentError("no heading is known: give one")
-    return SavedHeading(*task.heading, math.radians(task.settings.turned_deg))
+def _swaying(window: Window, here: _Place, imu: ImuNoise, task: Task) -> tuple[Alignment, Pass]:
+    coarse_s = max(60.0, min(300.0, window.length_s - window.dt))
+    settings = SwayingSettings(coarse_s=coarse_s, swing_m=task.settings.swing_m)
+    return align_swaying(window.rate, window.force, window.dt, float(here.place[0]), imu, settings, float(here.place[1]), float(here.place[2]))
+
+
+def _swaying_known(window: Window, here: _Place, imu: ImuNoise, task: Task, known: SavedHeading) -> Pass:
+    """A known heading in waves. The place alone hardly judges it in a minute, so gyros that feel the Earth rate are asked by themselves."""
+    if imu.bias_g < 0.5 * OMEGA_IE * math.cos(float(here.place[0])):
+        own, _ = _swaying(window, here, imu, task)
+        check_heading(own, known)
+    index = np.arange(1, int(window.length_s / 5.0) + 1, dtype=np.int64) * round(5.0 / window.dt)
+    index = index[index <= len(window.rate)]
+    still = Aids("place", index, np.zeros((len(index), 3)), np.full(3, task.settings.swing_m))
+    return align_known_heading(window.rate, window.force, window.dt, tuple(here.place), imu, still, known, task.settings.swing_m)
+
+
+def _heading(method: str, task: Task, window: Window) -> SavedHeading:
+    """Given, or of a heading sensor; the moorings turn a ship, not the antennas."""
+    if task.heading is not None:
+        return SavedHeading(*task.heading, math.radians(task.settings.turned_deg))
+    seen = heading_at(task.known, task.data, window) if method == "known_heading" else None
+    if seen is None:
+        raise TooSoon("no heading is known: none is given, and no heading sensor has measured one")
+    return SavedHeading(*seen, 0.0)
 
 
 def _redundant(window: Window, lat: float, imu: ImuNoise) -> Alignment:
@@ -256,7 +273,8 @@ def _under_way(method: str, task: Task, until_ns: int) -> Found:
         settings = InMotionSettings(place_m=float(np.max(here.sigma[:2])), heading_limit_deg=ANY_HEADING_DEG, shortest_s=30.0)
         _, run = align_in_motion(window.rate, window.force, window.dt, place, imu, aids, settings)
     else:
-        run = align_known_heading(window.rate, window.force, window.dt, place, imu, aids, _heading(task), float(np.max(here.sigma[:2])))
+        heading = _heading(method, task, window)
+        run = align_known_heading(window.rate, window.force, window.dt, place, imu, aids, heading, float(np.max(here.sigma[:2])))
     place_now = _imu_place(run.place, run.C_nb[0], here.lever, task)  # the fix is the first one's
     P = run.P.copy()
     P[2, 2] = max(P[2, 2], _sigma_place(here, task)[2] ** 2)

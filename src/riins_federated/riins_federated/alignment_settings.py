@@ -50,7 +50,7 @@ class AlignmentSettings:
     time_limit_s: float = setting(1800.0, "without a heading after this time the alignment has failed", "s", 5.0, 86400.0)
     position: tuple[float, ...] = setting((), "latitude [deg], longitude [deg], height [m]; empty: of the GNSS fixes")
     position_sigma_m: float = setting(20.0, "1-sigma error of the given position", "m", 0.01, 1e5)
-    heading: tuple[float, ...] = setting((), "known or saved heading and its 1 sigma, deg: for known_heading and hot_start; empty: none")
+    heading: tuple[float, ...] = setting((), "heading and its 1 sigma, deg, for known_heading and hot_start; empty: of a heading sensor")
     turned_deg: float = setting(0.5, "1-sigma turn at her moorings since the heading was saved, and yawing in waves", "deg", 0.0, 90.0)
     swing_m: float = setting(1.5, "largest 1-sigma swing about the mean place of a moored ship", "m", 0.01, 100.0)
     mounting_deg: float = setting(1.0, "1-sigma misalignment of this IMU to the master's axes, each axis", "deg", 0.001, 45.0)
@@ -63,8 +63,8 @@ class AlignmentSettings:
             raise SettingError(f'"position" must be empty or latitude, longitude, height, not {len(self.position)} numbers', ("position",))
         if len(self.heading) not in (0, 2) or (self.heading and self.heading[1] <= 0.0):
             raise SettingError('"heading" must be empty, or the heading and its sigma, which is positive', ("heading",))
-        if self.method in ("known_heading", "hot_start") and not self.heading:
-            raise SettingError(f'method "{self.method}" needs "heading"', ("heading",))
+        if self.method == "hot_start" and not self.heading:
+            raise SettingError('method "hot_start" needs the saved "heading"', ("heading",))
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class AlignmentReport:
 
     Attributes
     ----------
-    stamp_ns : measurement time, settled
+    stamp_ns, begin_ns : measurement time, settled; of the command or the first sample
     phase : Phase
     method : the method in use; "auto" until one is chosen
     rph, sigma : (3,), roll, pitch, heading and standard deviations of phi, rad; NaN: not known yet
@@ -138,6 +138,7 @@ class AlignmentReport:
     """
 
     stamp_ns: int
+    begin_ns: int
     phase: Phase
     method: str
     elapsed_s: float

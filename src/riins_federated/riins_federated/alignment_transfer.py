@@ -65,9 +65,7 @@ def align_transfer(window: Window, states: list[MasterState], imu: ImuNoise, mou
     start = moved(np.array([first.lat, first.lon, first.h]), -first.C_nb @ lever)
     run = run_stored(window.rate, window.force, window.dt, Start(float(start[0]), float(start[1]), float(start[2]), v, first.C_nb, P), imu, aids)
     if run.refused > 0.1 * len(aids.index):
-        raise AlignmentError(
-            f"{run.refused} of {len(aids.index)} velocities of the master do not fit the IMU: wrong axes, or one is broken"
-        )
+        raise AlignmentError(f"{run.refused} of {len(aids.index)} velocities of the master do not fit the IMU: wrong axes, or one is broken")
     check_biases(run, imu)
     behind = (window.end_ns - last.stamp_ns) * 1e-9
     ahead = moved(np.array([last.lat, last.lon, last.h]), last.v_n * behind - run.C_end @ lever)

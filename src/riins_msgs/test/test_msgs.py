@@ -11,7 +11,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
 ROOT = Path(__file__).resolve().parents[1]
-DEFINITIONS = sorted([*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv")])
+DEFINITIONS = sorted([*ROOT.glob("msg/*.msg"), *ROOT.glob("srv/*.srv"), *ROOT.glob("action/*.action")])
 FIELD = re.compile(r"^\s*[\w/]+(\[\d*\])?\s+[A-Za-z]\w*(\s*=\s*\S+)?")
 FRAMES = re.compile(r"frame_id|frame|empty")
 IDS = [path.name for path in DEFINITIONS]
@@ -47,6 +47,14 @@ def test_service_answers_success_and_message(path: Path) -> None:
     cls = getattr(importlib.import_module("riins_msgs.srv"), path.stem)
     assert {"success", "message"} <= set(cls.Response.get_fields_and_field_types())
     assert deserialize_message(serialize_message(cls.Request()), cls.Request) == cls.Request()
+
+
+def test_action_answers_success_and_message() -> None:
+    from riins_msgs.action import Align
+
+    assert {"success", "message"} <= set(Align.Result.get_fields_and_field_types())
+    assert deserialize_message(serialize_message(Align.Goal()), Align.Goal) == Align.Goal()
+    assert set(Align.Feedback.get_fields_and_field_types()) == {"status"}
 
 
 def test_constants_agree_between_messages() -> None:

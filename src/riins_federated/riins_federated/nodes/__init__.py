@@ -1,0 +1,1 @@
+"""Parts of the node `navigator` that have ROS in them, one file each."""
