@@ -30,6 +30,7 @@ from riins_node.runner import AutostartLifecycleNode, run
 from .calibration import Calibrator
 from .config import NodeConfig
 from .navigator import Navigator
+from .nodes.align_action import AlignPart
 from .plain_imu import PlainImu
 from .reporting import Grid, diagnosis, what_changed
 from .types import Aid, Array, FederatedReport, InitialState, NavEvent, NavSolution, Reason, Recall, UseCommand
@@ -96,11 +97,13 @@ class NavigatorNode(AutostartLifecycleNode):
             self.create_service(srv.SetInitialState, "~/set_initial_state", self._set_initial_state),
             self.create_service(srv.SetSensorUse, "~/set_sensor_use", self._set_sensor_use),
         ]
+        self._align = AlignPart(self, self._navigator, settings)
         self._watch = self.create_timer(0.5, self._watch_inputs)
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Undo on_configure."""
+        self._align.destroy()
         for subscription in self._inputs:
             self.destroy_subscription(subscription)
         for service in self._offered:
@@ -204,7 +207,11 @@ class NavigatorNode(AutostartLifecycleNode):
     def _publish_settled(self) -> None:
         for judged in self._navigator.drain_judged():
             self._publish("nav/innovations", fields.innovation(judged))
-        for settled in self._navigator.drain_settled():
+        solutions = self._navigator.drain_settled()
+        for aligning in self._align.take(solutions):
+            self._publish("nav/state", fields.nav_state(aligning, self._sequence))
+            self._sequence += 1
+        for settled in solutions:
             self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
             self._publish("nav/covariance", fields.nav_covariance(settled, self._navigator.labels))
             self._settled_sequence += 1
