@@ -21,15 +21,6 @@ CONFIGURATION = "configuration_file"
 """Parameter of the recorder whose file is written first."""
 IMU_TOPIC = "/rimu/raw"
 _TRUTH = {"true": True, "false": False}
-AID_TOPICS = {
-    "gps": "gps/fix",
-    "bds": "bds/fix",
-    "doppler": "doppler/velocity",
-    "odometer": "odometer/velocity",
-    "altimeter": "altimeter/height",
-    "star_tracker": "star_tracker/attitude",
-}
-"""What each simulated aid gives the navigator."""
 _NAMESPACE = re.compile(r"/?(?:[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*/?)?")
 
 
@@ -247,6 +238,7 @@ def replay_graph(settings: GraphSettings) -> Graph:
     from riins_bag.bag import BagError, BagReader
     from riins_bag.recording import RAW_TOPICS, selected
     from riins_eval.run_configuration import read_configuration
+    from riins_federated.aid_inputs import inputs
 
     with BagReader(settings.bag, None) as bag:
         recorded, topics = read_configuration(bag), set(bag.topics)
@@ -255,7 +247,8 @@ def replay_graph(settings: GraphSettings) -> Graph:
         first_ns, last_ns = bag.span_ns(IMU_TOPIC)
         namespace = bag.namespace
     nodes = _consumers(settings, recorded.fusion, recorded.navigator, recorded.text)
-    raw = sorted(t for t in topics if selected(t, RAW_TOPICS))
+    aids = [f"/{source.topic.strip('/')}" for source in inputs(recorded.navigator.aid)]
+    raw = sorted(t for t in topics if selected(t, (*RAW_TOPICS, *aids)))
     # the recorder, too, must hear the first sample
     listeners = {t: sum(t.strip("/") in n.subscribes or n.role == "observer" for n in nodes) for t in raw}
     listeners = {t: number for t, number in listeners.items() if number}
@@ -277,17 +270,20 @@ def replay_graph(settings: GraphSettings) -> Graph:
 
 
 def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
-    """Simulated sensors of a scenario and what they publish; a disabled aid has no node."""
+    """Simulated sensors of a scenario and what they publish at every sample; a disabled aid has no node."""
+    from riins_sim import suite
+
     sources: dict[str, tuple[str, ...]] = {"rimu": ("rimu/raw",)}
-    for name, topic in AID_TOPICS.items():
-        if getattr(scenario, name).enabled:
-            sources[name] = (topic,)
+    for name in suite.enabled(scenario):
+        sources[name] = suite.TOPICS[name][:1]
     sources["truth"] = ("truth/state", "truth/odometry", "nav/initial_state")
     return sources
 
 
 def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configuration: str, datum: Mapping[str, Any] | None = None) -> list[NodeSpec]:
-    aids = ("gps/fix", "bds/fix", "doppler/velocity")
+    from riins_federated.aid_inputs import inputs
+
+    aids = tuple(dict.fromkeys(source.topic.strip("/") for source in inputs(navigator.aid)))
     nodes = [
         _spec(
             settings,

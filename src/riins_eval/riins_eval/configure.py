@@ -27,6 +27,11 @@ MISALIGNMENT_MARGIN = 2.0
 """The filter's sigma of the log's mounting yaw over the scenario's: the truth is drawn from the latter, the filter may not count on it."""
 
 
+_SENSORS = ("gps", "bds", "doppler", "odometer", "altimeter", "star_tracker")
+CONSTANT_S = 1e7
+"""Correlation time of what does not change."""
+
+
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Nested mapping with the values of `over` in place of those of `base`."""
     result = dict(base)
@@ -53,6 +58,7 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
         The scenario's `navigator` section names an unknown setting, or one out of range.
     """
     n = CONFIGURATIONS[scenario.imu.configuration].shape[0]
+    surface = not scenario.altimeter.enabled and not any(leg.climb_m for leg in scenario.legs)  # a ship keeps her mean height
     fused = math.sqrt(3.0 / n)  # H'H = n/3 I: n equal sensors make a triad this much better
     gyro, accel, log = scenario.imu.gyro, scenario.imu.accel, scenario.doppler
     settings: dict[str, Any] = {
@@ -72,12 +78,14 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
             "sigma_mps": [s * KNOT for s in log.sigma_kn],
             "misalignment_deg": min(MISALIGNMENT_MARGIN * log.misalignment_deg, 90.0),
             "scale_ppm": log.scale_ppm,
+            "use_down": not surface,
             "lever_arm_m": list(log.lever_arm_m),
             "period_s": log.period_s,
             "timeout_s": ABSENT_AFTER * log.period_s,
         },
-        "height": {"mean_m": scenario.start.height_m},
+        "height": {"enabled": surface, "mean_m": scenario.start.height_m},
     }
+    aids = ["gps", "bds", "doppler"]
     for name in ("gps", "bds"):
         receiver = getattr(scenario, name)
         settings[name] = {
@@ -85,11 +93,41 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
             "sigma_m": list(receiver.sigma_m),
             "markov_sigma_m": receiver.markov_sigma_m,
             "markov_time_s": receiver.markov_time_s,
+            "use_height": not surface,
             "lever_arm_m": list(receiver.lever_arm_m),
             "period_s": receiver.period_s,
             "timeout_s": ABSENT_AFTER * receiver.period_s,
         }
-    return build(NavigatorConfig, merged(settings, scenario.navigator), ("navigator",))
+    further = _further_aids(scenario)
+    settings |= {"aids": [*aids, *further], **further}
+    wanted = merged(settings, scenario.navigator)
+    if isinstance(wanted["aids"], list | tuple):  # what the ship has and the navigator is not to know of
+        wanted = {key: value for key, value in wanted.items() if key not in settings["aids"] or key in wanted["aids"]}
+    return build(NavigatorConfig, wanted, ("navigator",))
+
+
+def _further_aids(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Sections of the aids that a scenario has beside receivers and log."""
+    found: dict[str, dict[str, Any]] = {}
+    if (wheels := scenario.odometer).enabled:
+        found["odometer"] = {
+            "type": "odometer", "sigma_mps": wheels.sigma_mps, "sideways_mps": wheels.sideways_sigma_mps, "down_mps": wheels.down_sigma_mps,
+            "scale_ppm": wheels.scale_ppm, "misalignment_deg": 0.0, "lever_arm_m": list(wheels.lever_arm_m), "axle_m": [0.0, 0.0, 0.0],
+        }  # fmt: skip
+    if (barometer := scenario.altimeter).enabled:
+        slow = math.hypot(barometer.bias_m, barometer.markov_sigma_m)
+        found["altimeter"] = {
+            "type": "height", "sigma_m": barometer.sigma_m, "markov_sigma_m": slow, "markov_state": True,
+            "markov_time_s": barometer.markov_time_s if barometer.markov_sigma_m else CONSTANT_S, "lever_arm_m": list(barometer.lever_arm_m),
+        }  # fmt: skip
+    if (stars := scenario.star_tracker).enabled:
+        found["star_tracker"] = {
+            "type": "attitude", "sigma_deg": [s / 3600.0 for s in stars.sigma_arcsec], "misalignment_deg": stars.misalignment_arcsec / 3600.0,
+        }  # fmt: skip
+    for name, section in found.items():
+        period_s = getattr(scenario, name).period_s
+        section |= {"period_s": period_s, "timeout_s": ABSENT_AFTER * period_s}
+    return found
 
 
 def fusion_config(scenario: Scenario) -> FusionConfig:
@@ -138,7 +176,11 @@ def configuration_text(scenario: Scenario, start_at_ns: int = 0, fusion: FusionC
     """
     fusion = fusion or fusion_config(scenario)
     flu = fusion.array().H * np.array([1.0, -1.0, -1.0])
-    lever_arms = {f"{name}_link": [float(v) for v in flip(getattr(scenario, name).lever_arm_m)] for name in ("gps", "bds", "doppler")}
+    lever_arms = {
+        f"{name}_link": [float(v) for v in flip(getattr(getattr(scenario, name), "lever_arm_m", (0.0, 0.0, 0.0)))]
+        for name in _SENSORS
+        if getattr(scenario, name).enabled
+    }
     return str(
         yaml.safe_dump(
             {

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_bag.bag import BagReader
+from riins_federated.aid_inputs import AidInput, inputs
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState, UseCommand
 from riins_imu_fusion.config import KINDS
@@ -31,14 +32,10 @@ from .run_configuration import RecordError, RunConfiguration, holds, read_config
 from .run_record import RunRecord
 
 WINDOW_NS = 10_000_000_000
-AID_TOPICS: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    "/gps/fix": ("gps", readings.read_position_aid),
-    "/bds/fix": ("bds", readings.read_position_aid),
-    "/doppler/velocity": ("doppler", readings.read_doppler),
-}
 INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC = "/nav/initial_state", "/nav/commands", "/fdi/method"
 RAW_TOPICS = (
-    RAW_IMU, *AID_TOPICS, "/gps/velocity", "/bds/velocity", INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC,
+    RAW_IMU, "/gps/fix", "/bds/fix", "/doppler/velocity", "/gps/velocity", "/bds/velocity", "/odometer/velocity", "/altimeter/height",
+    "/star_tracker/attitude", INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC,
     "/truth/state", "/truth/odometry", "/truth/faults",
 )  # fmt: skip
 
@@ -114,6 +111,9 @@ class _Run:
     def __init__(self, reader: BagReader, configuration: RunConfiguration, overridden: frozenset[str]) -> None:
         self.reader, self.configuration, self._overridden = reader, configuration, overridden
         self.pipeline = reporting_pipeline(configuration.fusion)
+        self._aids: dict[str, list[AidInput]] = {}
+        for source in inputs(configuration.navigator.aid):
+            self._aids.setdefault(f"/{source.topic.strip('/')}", []).append(source)
         self.lane = Lane(Navigator(configuration.navigator))
         self.fusion = FusionLog()
         self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
@@ -131,7 +131,7 @@ class _Run:
         began = time.perf_counter()
         if writer is not None:
             writer.configuration(with_settings(self.configuration), self.reader.start_ns)
-            writer.copy(self.reader, RAW_TOPICS, drop=() if writer.raw else (RAW_IMU,))
+            writer.copy(self.reader, dict.fromkeys((*RAW_TOPICS, *self._aids)), drop=() if writer.raw else (RAW_IMU,))
         total = self.reader.duration_s
         for done_ns, window in self._windows():
             for part in _cut(window, self._max_delay):
@@ -155,7 +155,7 @@ class _Run:
 
     def _windows(self) -> Iterator[tuple[int, _Window]]:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
-        others_from = [t for t in (*AID_TOPICS, INITIAL_TOPIC) if t in self.reader.topics]
+        others_from = [t for t in (*self._aids, INITIAL_TOPIC) if t in self.reader.topics]
         commands_from = [t for t in (COMMAND_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
         heard = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
         # a busy recorder may hear of a command long after the sample it holds from: its own stamp counts if it is earlier
@@ -165,7 +165,7 @@ class _Run:
             stop = start + WINDOW_NS
             c = self.reader.columns(RAW_IMU, names, start, stop)
             others: list[tuple[int, Aid | InitialState | UseCommand | _Method]] = []
-            others += [(log_ns, _take(topic, message)) for topic, log_ns, message in self.reader.read(others_from, start, stop)]
+            others += [(log_ns, item) for topic, log_ns, message in self.reader.read(others_from, start, stop) for item in self._take(topic, message)]
             others += [c for c in commands if c[0] < stop + self._max_delay]
             commands = [c for c in commands if c[0] >= stop + self._max_delay]
             yield stop, _Window(
@@ -173,6 +173,11 @@ class _Run:
                 c["gyro_valid"].astype(np.uint64), c["accel_valid"].astype(np.uint64), c["gyro.count"], c["accel.count"], others,
             )  # fmt: skip
             start = stop
+
+    def _take(self, topic: str, message: Any) -> list[Aid | InitialState]:
+        if topic == INITIAL_TOPIC:
+            return [InitialState(**readings.read_initial_state(message))]
+        return [aid for source in self._aids[topic] if (aid := source.read(message)) is not None]
 
     def _command(self, topic: str, message: Any) -> UseCommand | _Method:
         """A command of the recording; what the caller has overridden stays as he wants it."""
@@ -287,13 +292,6 @@ class _Run:
             expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
             drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0,
         )  # fmt: skip
-
-
-def _take(topic: str, message: Any) -> Aid | InitialState:
-    if topic == INITIAL_TOPIC:
-        return InitialState(**readings.read_initial_state(message))
-    name, read = AID_TOPICS[topic]
-    return Aid(name, **read(message))
 
 
 def _cut(window: _Window, max_delay_ns: int) -> Iterator[_Window]:

@@ -197,7 +197,7 @@ def test_overrides_change_the_navigation_and_are_recorded(bag, tmp_path, run):
     assert alone.score["position_rms_m"] > run.score["position_rms_m"]
     assert set(score(bag_record.read_record(tmp_path / "log", twins=False))["nis_per_dof"]) == {"doppler"}
     with BagReader(tmp_path / "log") as reader:
-        assert bag_record.read_configuration(reader).navigator.gps.enabled is False
+        assert bag_record.read_configuration(reader).navigator.aid["gps"].enabled is False
     with pytest.raises(SettingError, match="did you mean"):
         offline.navigate(bag, overrides={"navigator": {"gsp": {"enabled": False}}})
 

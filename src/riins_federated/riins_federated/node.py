@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import Imu, NavSatFix
@@ -23,17 +22,18 @@ from sensor_msgs.msg import Imu, NavSatFix
 from riins_core.frames import LocalFrame, flu_to_frd_covariance
 from riins_msgs import msg, srv
 from riins_node import convert, fields, qos
-from riins_node.inputs import several_publishers
+from riins_node.inputs import message_class, several_publishers
 from riins_node.parameters import declare
 from riins_node.runner import AutostartLifecycleNode, run
 
+from .aid_inputs import AidInput, inputs
 from .calibration import Calibrator
 from .config import NodeConfig
 from .navigator import Navigator
 from .nodes.align_action import AlignPart
 from .plain_imu import PlainImu
 from .reporting import Grid, diagnosis, what_changed
-from .types import Aid, Array, FederatedReport, InitialState, NavEvent, NavSolution, Reason, Recall, UseCommand
+from .types import Array, FederatedReport, InitialState, NavEvent, NavSolution, Reason, Recall, UseCommand
 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
@@ -52,7 +52,6 @@ OUTPUTS: dict[str, tuple[type, Any]] = {
 }
 EVENTS_KEPT = 10
 """In every FederatedStatus."""
-INPUTS = ("gps/fix", "bds/fix", "doppler/velocity")
 
 
 class NavigatorNode(AutostartLifecycleNode):
@@ -63,6 +62,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._settings = declare(self, NodeConfig, also=["autostart"])
         self._fused = self._settings.imu_topic_type == "fused"
         self._imu_topic = "imu/fused" if self._fused else "imu/data_raw"
+        self._aids = [(source, message_class(source.input.message, f'aid "{source.name}"')) for source in inputs(self._settings.aid)]
         self._inputs: list[Any] = []
         self._told: set[tuple[Any, ...]] = set()  # commands we have published, which come back
 
@@ -89,9 +89,7 @@ class NavigatorNode(AutostartLifecycleNode):
             take(msg.FusedImu, "imu/fused", self._on_imu, qos.imu()) if self._fused else take(Imu, "imu/data_raw", self._on_plain_imu, qos.imu()),
             take(msg.InitialState, "nav/initial_state", self._on_initial_state, qos.latched(10)),
             take(msg.SensorUse, "nav/commands", self._on_command, qos.latched(100)),
-            take(NavSatFix, "gps/fix", partial(self._on_aid, "gps", convert.read_position_aid), qos.aid()),
-            take(NavSatFix, "bds/fix", partial(self._on_aid, "bds", convert.read_position_aid), qos.aid()),
-            take(TwistWithCovarianceStamped, "doppler/velocity", partial(self._on_aid, "doppler", convert.read_doppler), qos.aid()),
+            *(take(kind, source.topic, partial(self._on_aid, source), qos.aid()) for source, kind in self._aids),
         ]
         self._offered = [
             self.create_service(srv.SetInitialState, "~/set_initial_state", self._set_initial_state),
@@ -145,10 +143,10 @@ class NavigatorNode(AutostartLifecycleNode):
         covariances = reading["rate_covariance"], reading["force_covariance"]
         self._on_imu(convert.fill(msg.FusedImu, fields.fused_imu(reading["stamp_ns"], sequence, rate, force, *covariances, 7, 7)))
 
-    def _on_aid(self, name: str, read: Any, message: Any) -> None:
-        if not self.active:
+    def _on_aid(self, source: AidInput, message: Any) -> None:
+        aid, name = source.read(message) if self.active else None, source.name
+        if aid is None:
             return
-        aid = Aid(name, **read(message))
         if not aid.R.any() and name not in self._without_covariance:
             self._without_covariance.add(name)
             self.get_logger().warning(f"{name} reports no covariance: its configured sigma is used")
@@ -236,7 +234,7 @@ class NavigatorNode(AutostartLifecycleNode):
     def _watch_inputs(self) -> None:
         if not self.active:
             return
-        problems = several_publishers(self, [self._imu_topic, *INPUTS])
+        problems = several_publishers(self, [self._imu_topic, *{source.topic: None for source, _ in self._aids}])
         if time.monotonic() - self._last_wall > self._settings.imu_timeout_s:
             problems.append(f"no IMU: nothing on {self._imu_topic}")
         for line in problems:

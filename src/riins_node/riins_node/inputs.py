@@ -1,14 +1,33 @@
 """What a node can see of its inputs' other end.
 
-Lives here: `several_publishers`: two sensors on one topic make a navigation error that nothing else explains.
+Lives here: `several_publishers`: two sensors on one topic make a navigation error that nothing else explains; `message_class`.
 Does not live here: time-outs and counts of what arrives (each node and its algorithm).
 """
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable
+from typing import Any
 
 from rclpy.node import Node
+
+from .parameters import ParameterError
+
+
+def message_class(name: str, wanted_by: str) -> Any:
+    """Class of a message type that is named by a parameter, "sensor_msgs/msg/NavSatFix".
+
+    Raises
+    ------
+    ParameterError
+        Its package is not installed; one line with the type and who wants it.
+    """
+    package, _, kind = name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise ParameterError(f"{wanted_by} needs {name}, and {package} is not installed here") from None
 
 
 def several_publishers(node: Node, topics: Iterable[str]) -> list[str]:

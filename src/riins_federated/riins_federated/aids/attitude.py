@@ -26,6 +26,8 @@ class AttitudeAidSettings(AidSettings):
 
     type: str = setting("attitude", "kind of aid", choices=("attitude",))
     sigma_deg: tuple[float, ...] = setting((0.01, 0.01, 0.01), "sigma about north, east, down where none is reported", "deg", 1e-7, 180.0, length=3)
+    sigma_floor_deg: float = setting(0.0, "a smaller reported sigma is raised to this", "deg", 0.0, 180.0)
+    mounting_rpy_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), "roll, pitch, yaw of the sensor in the body", "deg", -360.0, 360.0, length=3)
     misalignment_deg: float = setting(0.0, "sigma of each mounting angle that is not known, three states; 0: known", "deg", 0.0, 20.0)
 
 

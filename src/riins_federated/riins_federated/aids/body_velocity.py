@@ -98,8 +98,8 @@ class MountedModel(AidModel[T]):
             self.state("scale", {"scale": "1"}, s.scale_ppm * PPM),
         ]
 
-    def mounted(self, pose: Pose, parameters: Array, water_n: Array | None = None) -> Mounted:
-        """Velocity at the sensor: M_pitch M_yaw (C_nb' (v_n - water) + w x l)."""
+    def mounted(self, pose: Pose, parameters: Array, water_n: Array | None = None, lever: Array | None = None) -> Mounted:
+        """Velocity at the sensor, or at another lever arm that is known: M_pitch M_yaw (C_nb' (v_n - water) + w x l)."""
         s = self.settings
         yaw, pitch = math.radians(s.mounting_yaw_deg) + self.number(parameters, "yaw"), self.number(parameters, "pitch")
         pitch += math.radians(s.mounting_pitch_deg)
@@ -115,8 +115,9 @@ class MountedModel(AidModel[T]):
         else:
             by_pitch = by_pitch @ M
         relative_n = pose.v_n if water_n is None else pose.v_n - water_n
-        v_b = pose.C_nb.T @ relative_n + cross(pose.rate_b, self.lever + self.value(parameters, "lever"))
-        by_lever = M @ skew(pose.rate_b) if "lever" in self.at else np.zeros((3, 3))
+        arm = self.lever + self.value(parameters, "lever") if lever is None else lever
+        v_b = pose.C_nb.T @ relative_n + cross(pose.rate_b, arm)
+        by_lever = M @ skew(pose.rate_b) if lever is None and "lever" in self.at else np.zeros((3, 3))
         return Mounted(M @ v_b, M @ pose.C_nb.T, relative_n, by_yaw @ v_b, by_pitch @ v_b, by_lever)
 
 
