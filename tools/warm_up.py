@@ -23,7 +23,10 @@ def warm_fusion() -> None:
     from riins_imu_fusion.config import FusionConfig
     from riins_imu_fusion.pipeline import FusionPipeline
 
-    FusionPipeline(FusionConfig()).warm_up()
+    config = FusionConfig()
+    FusionPipeline(config).warm_up()
+    other = dataclasses.replace(config, method="irfdc", sequential_test="glr")  # what a switch while running must not wait for
+    FusionPipeline(other).warm_up()
 
 
 def warm_ship() -> None:
