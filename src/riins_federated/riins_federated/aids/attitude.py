@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from riins_core.ins_error import PHI
-from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3
+from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3, skew
 from riins_core.settings import setting
 from riins_node.readings import read_attitude
 
@@ -49,12 +49,14 @@ class Attitude(AidModel[AttitudeAidSettings]):
 
     def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
         """The rotation vector in NED from the predicted to the measured attitude: phi, as errors are computed minus true."""
-        C_bs = exp_so3(parameters_of(self.value(parameters, "mounting"))) @ self.C_bs
+        mounting = np.zeros(3) + self.value(parameters, "mounting")
+        C_bs = exp_so3(mounting) @ self.C_bs
         z = log_so3(dcm_from_quat(aid.z) @ (pose.C_nb @ C_bs).T)
         H = np.zeros((3, self.n))
         H[:, PHI] = np.eye(3)
         if "mounting" in self.at:
-            H[:, self.at["mounting"]] = -pose.C_nb
+            turn = skew(mounting)  # left Jacobian of the rotation, whose angle is small
+            H[:, self.at["mounting"]] = -pose.C_nb @ (np.eye(3) + turn / 2.0 + turn @ turn / 6.0)
         return Measurement(z, H, noise(aid.R, self.sigma, float(np.radians(self.settings.sigma_floor_deg))))
 
     def plausible(self, z: Array) -> bool:
@@ -64,8 +66,3 @@ class Attitude(AidModel[AttitudeAidSettings]):
     def covariance_ok(self, aid: Aid) -> bool:
         """Of three angles."""
         return np.shape(aid.R) == (3, 3) and reported_covariance_ok(aid.R, slice(0, 3))
-
-
-def parameters_of(value: Array | float) -> Array:
-    """Three numbers of a state that may be off."""
-    return np.zeros(3) + value

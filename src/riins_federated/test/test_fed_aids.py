@@ -1,0 +1,283 @@
+"""Every type of aid against what its sensor reads, written out by hand, and its H against finite differences, at random poses with all its states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from riins_core.frames import ned_offset
+from riins_core.rotation import dcm_from_euler, exp_so3, quat_from_dcm
+from riins_core.settings import SettingError, build
+from riins_federated.aiding import AidModel, Pose, noise
+from riins_federated.aids import AID_MODELS, DEFAULT_AIDS, make
+from riins_federated.config import NavigatorConfig
+from riins_federated.inertial_model import InertialModel
+from riins_federated.known_height import HeightAid, HeightModel
+from riins_federated.state_blocks import StateModel
+from riins_federated.types import Aid, Array, Reason
+
+LEVER, SIGMAS = [3.0, -2.0, -9.0], {"lever_sigma_m": 0.5, "delay_sigma_s": 0.1}
+MOUNTED = {"mounting_yaw_deg": 20.0, "mounting_pitch_deg": -4.0, "misalignment_deg": 1.0, "misalignment_pitch_deg": 1.0, "scale_ppm": 1e4}
+
+
+class Truth(NamedTuple):
+    """True motion, and the true value of each state of the aid's own."""
+
+    pose: Pose
+    own: dict[str, Array]
+
+    def at(self, name: str, size: int = 1) -> Array:
+        """A state of its own, zero where it is off."""
+        return self.own.get(name, np.zeros(size))
+
+    def velocity_b(self, lever: Any, water: Array | None = None) -> Array:
+        """At a lever arm, body."""
+        relative = self.pose.v_n - (np.zeros(3) if water is None else water)
+        return self.pose.C_nb.T @ relative + np.cross(self.pose.rate_b, np.asarray(lever) + self.at("lever", 3))
+
+    def sensor_velocity(self, settings: Any, lever: Any, water: Array | None = None) -> Array:
+        """The same in the axes of a mounted sensor."""
+        pitch = np.radians(settings.mounting_pitch_deg) + self.at("pitch")[0]
+        yaw = np.radians(settings.mounting_yaw_deg) + self.at("yaw")[0]
+        return np.asarray(dcm_from_euler(0.0, pitch, yaw).T @ self.velocity_b(lever, water))
+
+
+def antenna(t: Truth, s: Any) -> Array:
+    offset = t.pose.C_nb @ (np.array(s.lever_arm_m) + t.at("lever", 3)) + np.resize(np.append(t.at("markov", 3), 0.0), 3)
+    return np.array([float(v) for v in ned_offset(t.pose.lat, t.pose.lon, t.pose.h, offset)])
+
+
+def antenna_velocity(t: Truth, s: Any) -> Array:
+    return t.pose.C_nb @ t.velocity_b(s.lever_arm_m) + t.at("markov", 3)
+
+
+def log(t: Truth, s: Any) -> Array:
+    current = np.append(t.at("current", 2), 0.0)
+    return (1.0 + t.at("scale")) * t.sensor_velocity(s, s.lever_arm_m, current) + t.at("markov", 3)
+
+
+def beams(t: Truth, s: Any) -> Array:
+    v = t.sensor_velocity(s, s.lever_arm_m)
+    angle = np.radians(s.beam_angle_deg)
+    along = [[np.sin(angle) * np.cos(a), np.sin(angle) * np.sin(a), np.cos(angle)] for a in np.radians(s.beam_azimuth_deg)]
+    read = s.beam_sign * (1.0 + t.at("scale")) * (np.array(along) @ v)
+    read[1] = np.nan  # has lost the bottom
+    return read
+
+
+def wheels(t: Truth, s: Any) -> Array:
+    return (1.0 + t.at("scale")) * t.sensor_velocity(s, s.lever_arm_m)[:1]
+
+
+def barometer(t: Truth, s: Any) -> Array:
+    return t.pose.h - (t.pose.C_nb @ (np.array(s.lever_arm_m) + t.at("lever", 3)))[2:] - s.zero_m + t.at("markov")
+
+
+def compass(t: Truth, s: Any) -> Array:
+    return np.arctan2(t.pose.C_nb[1, 0], t.pose.C_nb[0, 0]) + np.radians(s.offset_deg) + t.at("deviation")
+
+
+def stars(t: Truth, s: Any) -> Array:
+    return quat_from_dcm(t.pose.C_nb @ exp_so3(t.at("mounting", 3)) @ dcm_from_euler(*np.radians(s.mounting_rpy_deg)))
+
+
+CASES: list[tuple[str, Callable[[Truth, Any], Array], dict[str, Any]]] = [
+    ("gnss_position", antenna, {"lever_arm_m": LEVER, **SIGMAS, "use_height": True, "markov_sigma_m": 3.0, "markov_state": True}),
+    ("gnss_position", antenna, {"lever_arm_m": LEVER}),
+    ("gnss_velocity", antenna_velocity, {"lever_arm_m": LEVER, **SIGMAS, "markov_sigma_mps": 0.1, "markov_state": True}),
+    ("body_velocity", log, {"lever_arm_m": LEVER, **SIGMAS, **MOUNTED, "use_down": True, "markov_sigma_mps": 0.1, "markov_state": True}),
+    ("body_velocity", log, {"lever_arm_m": LEVER, **MOUNTED, "use_down": True, "scale_each_axis": True}),
+    ("body_velocity", log, {"lever_arm_m": LEVER, "misalignment_deg": 0.0}),
+    ("water_velocity", log, {"lever_arm_m": LEVER, **SIGMAS, **MOUNTED, "use_down": True}),
+    ("beam_velocity", beams, {"lever_arm_m": LEVER, **SIGMAS, **MOUNTED, "beam_sign": -1}),
+    ("odometer", wheels, {"lever_arm_m": LEVER, **SIGMAS, **MOUNTED, "sideways_mps": 0.0, "down_mps": 0.0}),
+    ("height", barometer, {"lever_arm_m": LEVER, **SIGMAS, "zero_m": 30.0, "markov_sigma_m": 5.0, "markov_state": True}),
+    ("heading", compass, {"delay_sigma_s": 0.1, "offset_deg": 90.0, "deviation_deg": 2.0}),
+    ("attitude", stars, {"delay_sigma_s": 0.1, "mounting_rpy_deg": [10.0, -80.0, 30.0], "misalignment_deg": 1.0}),
+]
+SIZES = {"lever": 0.3, "delay": 0.0, "markov": 0.05, "yaw": 0.01, "pitch": 0.01, "scale": 0.005, "current": 0.4, "deviation": 0.02, "mounting": 0.01}
+STEPS = {"m]": 1e-2, "m/s]": 1e-4, "rad]": 1e-6, "1]": 1e-6, "s]": 1e-4}
+
+
+def declared(kind: str, values: dict[str, Any]) -> tuple[AidModel[Any], StateModel]:
+    model = make("aid", build(AID_MODELS[kind].Settings, {"type": kind, **values}))
+    states = StateModel(InertialModel(), (), model.blocks())
+    model.place(states)
+    return model, states
+
+
+def scene(model: AidModel[Any], states: StateModel, seed: int) -> tuple[Truth, np.ndarray, np.ndarray]:
+    """Random true motion and own states, the navigation state and the parameters that say the same."""
+    rng = np.random.default_rng(seed)
+    nav, parameters = np.zeros(16), np.zeros(states.n - 9)
+    nav[0:3] = rng.uniform(-1.2, 1.2), rng.uniform(-3.0, 3.0), rng.uniform(-50.0, 5000.0)
+    nav[3:6] = rng.normal(size=3) * [10.0, 10.0, 1.0]
+    nav[6:15] = dcm_from_euler(rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), rng.uniform(-3.0, 3.0)).ravel()
+    own = {name: SIZES[name] * rng.normal(size=place.stop - place.start) for name, place in model.at.items()}
+    for name, place in model.at.items():
+        parameters[place.start - 9 : place.stop - 9] = own[name]
+    return Truth(pose(nav, rng.normal(size=3) * 0.2, rng.normal(size=3)), own), nav, parameters
+
+
+def pose(nav: np.ndarray, rate_b: np.ndarray, a_n: np.ndarray) -> Pose:
+    return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, a_n)
+
+
+def measured(model: AidModel[Any], z: Array) -> Aid:
+    side = 3 if model.kind in ("attitude", "odometer") else len(z)
+    return Aid("aid", 0, z, np.zeros((side, side)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("kind", "sensor", "values"), CASES, ids=lambda v: v if isinstance(v, str) else "")
+def test_the_true_state_leaves_no_innovation_and_h_is_its_derivative(
+    kind: str, sensor: Callable[[Truth, Any], Array], values: dict[str, Any], seed: int
+) -> None:
+    model, states = declared(kind, values)
+    truth, nav, parameters = scene(model, states, seed)
+    aid = measured(model, sensor(truth, model.settings))
+    assert model.defect(aid) is Reason.NONE
+    there = model.measurement(aid, truth.pose, parameters)
+    assert np.abs(there.z).max() < 2e-4  # metres on a curved Earth
+    assert np.linalg.eigvalsh(there.R).min() > 0.0
+
+    def innovation(x: np.ndarray) -> np.ndarray:
+        """Of a navigator whose errors are x, computed minus true."""
+        wrong, estimates = nav.copy(), parameters.copy()
+        states.correct(wrong, estimates, -x)
+        return model.measurement(aid, pose(wrong, truth.pose.rate_b, truth.pose.a_n), estimates).z
+
+    for i in [*range(9), *range(15, states.n)]:
+        x = np.zeros(states.n)
+        x[i] = STEPS[states.labels[i].split("[")[1]]
+        slope = (innovation(x) - innovation(-x)) / (2.0 * x[i])
+        assert slope == pytest.approx(there.H[:, i], rel=1e-4, abs=1e-4 * max(1.0, np.abs(there.H[:, i]).max())), states.labels[i]
+
+
+@pytest.mark.parametrize(("kind", "sensor", "values"), [c for c in CASES if "delay_sigma_s" in c[2]], ids=lambda v: v if isinstance(v, str) else "")
+def test_a_measurement_that_was_taken_earlier_fits_once_its_delay_is_known(
+    kind: str, sensor: Callable[[Truth, Any], Array], values: dict[str, Any]
+) -> None:
+    model, states = declared(kind, values)
+    truth, _, parameters = scene(model, states, 4)
+    early = truth._replace(pose=truth.pose.moved(-0.05))
+    aid = measured(model, sensor(early, model.settings))
+    late = model.measurement(aid, truth.pose, parameters)
+    parameters[model.at["delay"].start - 9] = 0.05
+    known = model.measurement(aid, truth.pose, parameters)
+    assert np.abs(known.z).max() < 2e-4
+    assert late.z == pytest.approx(late.H[:, model.at["delay"].start] * -0.05, rel=0.05, abs=2e-3)  # computed minus true is -0.05
+
+
+def test_an_odometer_says_that_the_axle_moves_neither_sideways_nor_down() -> None:
+    model, states = declared("odometer", {"axle_m": [-1.5, 0.0, 0.5], "lever_arm_m": [1.0, 0.8, 0.5], "misalignment_deg": 1.0})
+    truth, nav, parameters = scene(model, states, 5)
+    at_axle = np.array([7.0, 0.0, 0.0])
+    v_b = dcm_from_euler(0.0, 0.0, truth.at("yaw")[0]) @ at_axle - np.cross(truth.pose.rate_b, [-1.5, 0.0, 0.5])
+    nav[3:6] = truth.pose.C_nb @ v_b
+    truth = truth._replace(pose=pose(nav, truth.pose.rate_b, truth.pose.a_n))
+    aid = Aid("aid", 0, wheels(truth, model.settings), np.diag([0.04, 0.01, 0.0]))
+    found = model.measurement(aid, truth.pose, parameters)
+    assert np.abs(found.z).max() < 1e-12 and np.diag(found.R) == pytest.approx([0.04, 0.01, 0.01])
+    for i in (*range(3, 9), model.at["yaw"].start):
+        x = np.zeros(states.n)
+        x[i] = 1e-5
+        wrong, estimates = nav.copy(), parameters.copy()
+        states.correct(wrong, estimates, -x)
+        slope = model.measurement(aid, pose(wrong, truth.pose.rate_b, truth.pose.a_n), estimates).z / 1e-5
+        assert slope == pytest.approx(found.H[:, i], abs=1e-3)
+
+
+def test_the_known_height_with_a_tide() -> None:
+    model = HeightModel(HeightAid(mean_m=12.0, bias_m=1.0))
+    states = StateModel(InertialModel(), (), model.blocks())
+    model.place(states)
+    at = states.places["height.bias"].start
+    parameters = np.zeros(states.n - 9)
+    parameters[at - 9] = 0.7
+    here = Pose(0.5, 0.1, 12.7, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
+    found = model.measurement(here, parameters)
+    assert found.z == pytest.approx(0.0, abs=1e-12) and (found.H[0, 2], found.H[0, at]) == (-1.0, 1.0)
+    assert HeightModel(HeightAid()).blocks()[0].sigma == 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "z", "R", "reason"),
+    [
+        ("gnss_position", [2.0, 0.0, 0.0], np.eye(3), Reason.NOT_FINITE),
+        ("gnss_position", [0.5, 0.0, np.nan], np.eye(3), Reason.NONE),  # its height is not used
+        ("gnss_position", [0.5, 0.0], np.eye(3), Reason.NOT_FINITE),
+        ("gnss_position", [0.5, 0.0, 0.0], -np.eye(3), Reason.COVARIANCE),
+        ("gnss_velocity", [0.5, 0.0, np.nan], np.eye(3), Reason.NOT_FINITE),
+        ("body_velocity", [0.5, 0.0, np.nan], np.eye(3), Reason.NONE),
+        ("beam_velocity", [1.0, np.nan, np.nan, np.nan], np.zeros((4, 4)), Reason.NONE),
+        ("beam_velocity", [np.nan] * 4, np.zeros((4, 4)), Reason.NOT_FINITE),
+        ("beam_velocity", [1.0, np.inf, 1.0, 1.0], np.zeros((4, 4)), Reason.NOT_FINITE),
+        ("beam_velocity", [1.0, 1.0, 1.0, 1.0], np.diag([1.0, 0.0, 1.0, 1.0]), Reason.COVARIANCE),
+        ("beam_velocity", [1.0, np.nan, 1.0, 1.0], np.diag([1.0, np.nan, 1.0, 1.0]), Reason.NONE),
+        ("odometer", [np.nan], np.zeros((3, 3)), Reason.NOT_FINITE),
+        ("odometer", [1.0], np.diag([-1.0, 1.0, 1.0]), Reason.COVARIANCE),
+        ("height", [1.0], np.zeros((1, 1)), Reason.NONE),
+        ("height", [1.0], -np.ones((1, 1)), Reason.COVARIANCE),
+        ("heading", [np.nan], np.zeros((1, 1)), Reason.NOT_FINITE),
+        ("attitude", [np.nan] * 4, np.zeros((3, 3)), Reason.NOT_FINITE),
+        ("attitude", [0.0, 0.0, 0.0, 3.0], np.zeros((3, 3)), Reason.NOT_FINITE),
+        ("attitude", [0.0, 0.0, 0.0, 1.0], np.diag([1.0, -1.0, 1.0]), Reason.COVARIANCE),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_a_reason(kind: str, z: list[float], R: Array, reason: Reason) -> None:
+    model, _ = declared(kind, {})
+    assert model.defect(Aid("aid", 0, np.array(z), np.asarray(R))) is reason
+
+
+def test_frame_and_fix() -> None:
+    model, _ = declared("heading", {"frame": "compass_link"})
+    good = Aid("aid", 0, np.zeros(1), np.zeros((1, 1)), frame="compass_link")
+    assert model.defect(good) is Reason.NONE
+    assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)), frame="base_link")) is Reason.FRAME
+    assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)))) is Reason.NONE  # it did not come in a message
+    assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)), ok=False)) is Reason.NO_FIX
+
+
+def test_a_heading_is_compared_around_the_circle_whatever_roll_and_pitch() -> None:
+    model, _ = declared("heading", {"sigma_deg": 1.0, "sigma_floor_deg": 2.0})
+    here = Pose(0.5, 0.1, 0.0, np.zeros(3), dcm_from_euler(0.3, 0.2, np.radians(359.0)), np.zeros(3), np.zeros(3))
+    found = model.measurement(Aid("aid", 0, np.radians([1.0]), np.zeros((1, 1))), here, np.zeros(6))
+    assert np.degrees(found.z) == pytest.approx(2.0) and found.R == pytest.approx(noise(np.zeros((1, 1)), np.radians([2.0]), 0.0))
+
+
+def test_every_file_is_a_type_and_the_defaults_exist() -> None:
+    assert set(AID_MODELS) >= {
+        "gnss_position",
+        "gnss_velocity",
+        "body_velocity",
+        "beam_velocity",
+        "water_velocity",
+        "odometer",
+        "height",
+        "heading",
+        "attitude",
+    }
+    assert set(DEFAULT_AIDS.values()) <= set(AID_MODELS)
+    assert all(model.Settings().type == kind for kind, model in AID_MODELS.items())
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"aids": ["gps", "compass"]}, r'"aids" names "compass", but there is no "compass.type"'),
+        ({"aids": ["gps", "compass"], "compass": {"type": "compas"}}, 'must be one of .*heading.* not \'compas\''),
+        ({"compass": {"type": "heading"}}, r'unknown setting "compass".*section that "aids" should name'),
+        ({"aids": ["gps", "stern"], "stern": {"type": "gnss_position", "topic": "/gps/fix"}}, r'"stern" has the topic "/gps/fix".* of "gps"'),
+        ({"gps": {"type": "heading"}, "bds": {"sigma_deg": 1.0}}, r'unknown setting "bds.sigma_deg"'),
+        ({"gps": {"sigma_mm": [1, 1, 1]}}, r'unknown setting "gps.sigma_mm" \(did you mean "sigma_m"\?\)'),
+        ({"states": ["gyro_scales"]}, r'"states" names "gyro_scales" \(did you mean "gyro_scale"\?\)'),
+    ],
+)  # fmt: skip
+def test_a_wrong_declaration_is_one_clear_line(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingError, match=said) as caught:
+        build(NavigatorConfig, values)
+    assert "\n" not in str(caught.value)
