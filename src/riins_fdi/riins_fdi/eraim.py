@@ -6,6 +6,7 @@ Does not live here: the filters that give the solutions (riins_federated.structu
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from riins_core.jit import jit
+from riins_core.kalman import cholesky_into
 from riins_fdi.innovation import nis_threshold
 
 Array = NDArray[np.float64]
@@ -130,6 +132,14 @@ def separation_into(x_all: Array, P_all: Array, x_loo: Array, P_loo: Array, stat
 
 
 @jit
+def separations_into(X: Array, P: Array, rows: NDArray[np.int64], states: NDArray[np.int64], statistic: Array, dof: NDArray[np.int64]) -> None:
+    """Kernel: `separation_into` of filter 0 of several from each of `rows`; statistic and dof (k,) written."""
+    D = np.empty((states.shape[0], states.shape[0]))
+    for k in range(rows.shape[0]):
+        statistic[k], dof[k] = separation_into(X[0], P[0], X[rows[k]], P[rows[k]], states, D)
+
+
+@jit
 def eigen_into(A: Array, V: Array) -> None:
     """Kernel: eigenvalues of a small symmetric A (m, m), left on its diagonal, and eigenvectors as columns of V, by Jacobi's rotations."""
     m = A.shape[0]
@@ -188,6 +198,7 @@ def protection_level(
     return float(protection_levels(x, P, np.array([1]), np.array([0, 1]), -1, unseen, quantile)[0])
 
 
+@functools.lru_cache(maxsize=64)
 def quantiles(pfa: float, integrity_risk: float, tested: int) -> tuple[Array, Array]:
     """Thresholds of the separation test over two and over `tested` states, and quantiles of the chi-square of 2 and 1 dof; (2,) each."""
     return (
@@ -245,5 +256,20 @@ def cross_check(z_one: ArrayLike, R_one: ArrayLike, z_other: ArrayLike, R_other:
     """
     d = np.asarray(z_one, dtype=np.float64) - np.asarray(z_other, dtype=np.float64)
     S = np.asarray(R_one, dtype=np.float64) + np.asarray(R_other, dtype=np.float64)
-    statistic, threshold = float(d @ np.linalg.solve(S, d)), nis_threshold(pfa, d.size)
+    statistic, threshold = float(_weighted(d, S)), nis_threshold(pfa, d.size)
     return statistic, threshold, not statistic <= threshold
+
+
+@jit
+def _weighted(d: Array, S: Array) -> float:
+    """d' S^-1 d, infinite where S is not positive definite."""
+    L, u, total = np.zeros_like(S), np.empty_like(d), 0.0
+    if not cholesky_into(S, L):
+        return np.inf
+    for a in range(d.shape[0]):
+        s = d[a]
+        for b in range(a):
+            s -= L[a, b] * u[b]
+        u[a] = s / L[a, a]
+        total += u[a] * u[a]
+    return total

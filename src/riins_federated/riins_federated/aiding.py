@@ -14,6 +14,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from riins_core.earth import radii_s
+from riins_core.jit import jit
+from riins_core.kalman import cholesky_into
 from riins_core.rotation import exp_so3
 from riins_core.settings import setting
 
@@ -249,18 +251,25 @@ def noise(R: Array, sigma: Array, floor: float) -> Array:
     (m, m)
     """
     R = np.array(R) if R.any() else np.diag(sigma**2)
-    low = floor**2 - np.diag(R)
-    return R + np.diag(np.maximum(low, 0.0))
+    for i in range(len(R)):
+        R[i, i] = max(R[i, i], floor**2)
+    return R
 
 
 def reported_covariance_ok(R: Array, rows: slice) -> bool:
     """All zeros (unknown), or finite, symmetric and positive definite in the rows that are used."""
-    if not np.isfinite(R[rows, rows]).all():
-        return False
-    if not R.any():
-        return True
-    part = R[rows, rows]
-    return bool(np.allclose(part, part.T, rtol=1e-9, atol=1e-9 * float(np.abs(part).max())) and np.linalg.eigvalsh(part).min() > 0.0)
+    part = np.array(R[rows, rows], dtype=np.float64)
+    return _positive(part) or (not R.any() and bool(np.isfinite(part).all()))
+
+
+@jit
+def _positive(R: Array) -> bool:
+    """Kernel: finite, symmetric and positive definite."""
+    for i in range(R.shape[0]):
+        for j in range(i):
+            if not abs(R[i, j] - R[j, i]) <= 1e-9 * np.abs(R).max():
+                return False
+    return cholesky_into(R, np.zeros_like(R))
 
 
 def cross(a: Array, b: Array) -> Array:

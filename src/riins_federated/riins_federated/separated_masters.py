@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from riins_fdi.eraim import largest_horizontal, protection_levels, quantiles, separation_into
+from riins_fdi.eraim import largest_horizontal, protection_levels, quantiles, separation_into, separations_into
 from riins_fdi.innovation import nis_threshold
 
 from .aiding import Measurement
@@ -152,7 +152,7 @@ class SeparatedMasters(Structure):
         position alone is inertial, and the level as large as its error may be."""
         rows = [row for row, isolated in zip(self._without, self.isolated, strict=True) if row >= 0 and not isolated]
         quantile = quantiles(0.5, integrity_risk, 1)[1]
-        heading = -1 if self.layout.heading is None else self.layout.heading
+        heading = -1 if self.layout.heading is None else int(self.layout.heading)
         level = protection_levels(self._stack.X, self._stack.P, np.array(rows, np.int64), self._position, heading, self._unseen, quantile)
         return float(level[0]), float(level[1])
 
@@ -179,19 +179,28 @@ class SeparatedMasters(Structure):
         return self._by[index]
 
     def _with_candidates(self, rows: Rows) -> Rows:
+        if not any(self.isolated):
+            return rows
         using = np.flatnonzero(self._scale[len(self._sets) :])
-        return np.concatenate([rows, len(self._sets) + using]) if len(using) else rows
+        return np.concatenate([rows, len(self._sets) + using])
 
     def _against(self, one: int, other: int, states: Rows) -> _Apart:
         X, P = self._stack.X, self._stack.P
         return _Apart(*separation_into(X[one], P[one], X[other], P[other], states, np.empty((len(states), len(states)))))
 
+    def _apart(self, using: Sequence[int], states: Rows) -> dict[int, _Apart]:
+        """The master against the leave-one-out master of each aid."""
+        rows = np.array([self._without[i] for i in using], np.int64)
+        statistic, dof = np.empty(len(rows)), np.empty(len(rows), np.int64)
+        separations_into(self._stack.X, self._stack.P, rows, states, statistic, dof)
+        return {i: _Apart(*one) for i, one in zip(using, zip(statistic.tolist(), dof.tolist(), strict=True), strict=True)}
+
     def _separate(self) -> Replaced | None:
         """Test every aid in use, and isolate the one to blame."""
         using = [i for i, isolated in enumerate(self.isolated) if not isolated]
         both = len(self.layout.navigation) > 0
-        found = {i: self._against(0, self._without[i], self._position) for i in using}
-        whole = {i: self._against(0, self._without[i], self._states) for i in using} if both else found
+        found = self._apart(using, self._position)
+        whole = self._apart(using, self._states) if both else found
         self._watched = [self._nearest(i, found[i], whole[i]) if i in found else Watched(0.0, 0.0) for i in range(len(self.isolated))]
         alarms = [i for i in using if found[i].alarm(self._pfa(i)) or whole[i].alarm(self._pfa(i))]
         if not alarms:

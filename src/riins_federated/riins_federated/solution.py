@@ -10,7 +10,8 @@ import math
 
 import numpy as np
 
-from riins_core.earth import earth_rate_n, transport_rate_n
+from riins_core.earth import OMEGA_IE, radii_s
+from riins_core.jit import jit
 from riins_core.rotation import euler_from_dcm
 from riins_fdi.innovation import nis_threshold
 
@@ -22,10 +23,17 @@ P95 = nis_threshold(0.05, 2)
 """Square of the 95 % radius of a circular unit normal."""
 
 
+@jit
 def body_rate(nav: Array, rate_ib: Array) -> Array:
     """Rate of the body relative to NED, (3,), rad/s, FRD, from its inertial rate less bias."""
-    w_in = earth_rate_n(nav[0]) + transport_rate_n(nav[0], nav[2], nav[3:6])
-    return np.asarray(rate_ib - nav[6:15].reshape(3, 3).T @ w_in)
+    r_m, r_n = radii_s(nav[0])
+    east = nav[4] / (r_n + nav[2])
+    north, down = OMEGA_IE * math.cos(nav[0]) + east, -OMEGA_IE * math.sin(nav[0]) - east * math.tan(nav[0])
+    west = -nav[3] / (r_m + nav[2])
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = rate_ib[i] - (nav[6 + i] * north + nav[9 + i] * west + nav[12 + i] * down)
+    return out
 
 
 def solution(

@@ -215,7 +215,7 @@ class Structure:
     def protection(self, integrity_risk: float) -> tuple[float, float]:
         """Protection level of the horizontal position [m] and of the heading [rad]; here of noise alone, since no solution tells of a fault."""
         quantile = quantiles(0.5, integrity_risk, 1)[1]
-        heading = -1 if self.layout.heading is None else self.layout.heading
+        heading = -1 if self.layout.heading is None else int(self.layout.heading)
         level = protection_levels(self._stack.X, self._stack.P, np.empty(0, np.int64), np.array(self.layout.position), heading, quantile, quantile)
         return float(level[0]), float(level[1])
 
