@@ -47,6 +47,7 @@ class AlignPart:
         self._watch = SettleWatch(config)
         self._goals: list[_Goal] = []
         self._told: set[AlignCommand] = set()  # commands we have published, which come back
+        self._commanded_ns = 0
         self._last = AlignmentStatus.unknown()
         publish = partial(node.create_publisher, qos_overriding_options=qos.overridable())
         take = partial(node.create_subscription, qos_overriding_options=qos.overridable())
@@ -109,12 +110,13 @@ class AlignPart:
         newest = self._navigator.status().stamp_ns
         if not newest:
             return "there is no IMU sample yet"
-        command = AlignCommand(newest + 1, method, *rest)
+        command = AlignCommand(max(newest, self._commanded_ns) + 1, method, *rest)
         problem = self._navigator.align(command)
         if not problem:
             if goal is not None:
                 goal.begin_ns = command.stamp_ns
             self._told.add(command)
+            self._commanded_ns = command.stamp_ns
             self._commands.publish(convert.fill(msg.AlignCommand, alignment_fields.align_command(command)))
         return problem
 
