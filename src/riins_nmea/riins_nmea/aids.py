@@ -195,7 +195,7 @@ def nearest_day(of_day: time, arrival_ns: int) -> int:
 
 
 def _says_invalid(kind: str, parsed: Any) -> bool:
-    return parsed.quality == 0 if kind == "GGA" else kind == "RMC" and parsed.status == "V"
+    return getattr(parsed, "quality", None) == 0 if kind == "GGA" else getattr(parsed, "status", None) == "V"
 
 
 def _number(value: Any, low: float, high: float) -> float:

@@ -194,7 +194,13 @@ class SerialLines:
 
 
 class Sender:
-    """One output; `sent` and `failed` count sentences, `problem` is the last thing that went wrong, '' when all is well."""
+    """One output; `sent` and `failed` count sentences.
+
+    Raises
+    ------
+    LinkError
+        The host is not known, or pyserial is missing.
+    """
 
     def __init__(self, link: Link, lines: SerialLines) -> None:
         self.link = link
@@ -203,6 +209,10 @@ class Sender:
         self._line = lines.line(link) if link.device else None
         self._socket: socket.socket | None = None
         if self._line is None:
+            try:
+                self._address = (socket.gethostbyname(link.host), link.port)  # once: a name server must not hold up every sentence
+            except OSError as error:
+                raise LinkError(f"{link.text}: {_reason(error)}") from None
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -231,7 +241,7 @@ class Sender:
             return good
         assert self._socket is not None
         try:
-            self._socket.sendto(data, (self.link.host, self.link.port))
+            self._socket.sendto(data, self._address)
         except OSError as error:
             self._problem = f"{self.link.text}: {_reason(error)}"
             return False
