@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from riins_federated.navigator import Navigator
-from riins_federated.types import Aid, InitialState
+from riins_federated.types import InitialState
 from riins_imu_fusion.config import FusionConfig
 from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.types import FusedBlock
@@ -25,7 +24,7 @@ from riins_sim import scenario as scenarios
 from riins_sim.faults import Fault
 from riins_sim.initial import initial_state
 from riins_sim.scenario import Scenario
-from riins_sim.sensors import DopplerSim, PositionBlock, PositionSim, RawBlock, RedundantImuSim, VelocityBlock
+from riins_sim.sensors import PositionSim, RawBlock, RedundantImuSim
 from riins_sim.trajectory import Trajectory
 
 from . import blocks, configure
@@ -33,6 +32,7 @@ from . import score as scoring
 from .lane import FusionLog, Lane, fault_intervals, report_at, warm_up
 from .recording import ORACLE_TOPIC, TWIN_TOPIC, RunWriter
 from .run_record import RunRecord, Samples
+from .simulated_aids import Found, SimulatedAids
 
 START_NS = 1_600_000_000_000_000_000
 """Epoch of a run that has no date of its own (2020-09-13T12:26:40Z)."""
@@ -107,13 +107,12 @@ class _Voyage:
         self.scenario, self.start = scenario, start_at_ns
         self.trajectory = Trajectory(scenario)
         self.imu = RedundantImuSim(scenario, self.trajectory)
-        self.positions = {name: PositionSim(scenario, name, self.trajectory) for name in ("gps", "bds") if getattr(scenario, name).enabled}
-        self.log = DopplerSim(scenario, self.trajectory) if scenario.doppler.enabled else None
         self.faults = scenario.fault_schedule()
         self.imu_faults = self.faults.only(["gyro", "accel"])
         self.twins = twins and bool(self.faults.faults)
         self.same = twins and not self.faults.faults
         self.fusion_config, self.navigator_config = configure.fusion_config(scenario), configure.navigator_config(scenario)
+        self.aids = SimulatedAids(scenario, self.trajectory, self.navigator_config, start_at_ns)
         self.pipeline = reporting_pipeline(self.fusion_config)
         self.lane = Lane(Navigator(self.navigator_config))
         self.log_of_fusion = FusionLog()
@@ -166,43 +165,30 @@ class _Voyage:
         sequence = (raw.k & 0xFFFFFFFF).astype(np.uint32)
         fused = _fuse(self.pipeline, stamps, sequence, raw)
         self.log_of_fusion.add(fused, self.pipeline.drain_events())
-        aids = self._aids(first_ns, last_ns, True)
-        self.lane.feed(_ordered(aids), fused, self.pipeline)
+        found = self.aids.between(first_ns, last_ns, self.faults)
+        aids = self.aids.read(found)
+        self.lane.feed(aids, fused, self.pipeline)
         self.lane.calibrate(self.pipeline)
         if self.twin is not None and self.oracle is not None:
             clean, hidden = raw, raw
             if faulty_imu:
                 clean, hidden = self.imu.block(k0, m, None), _hide(raw, self.imu_faults.faults)
             block = fused if self.twin_pipeline is self.pipeline else _fuse(self.twin_pipeline, stamps, sequence, clean)
-            self.twin.feed(_ordered(self._aids(first_ns, last_ns, False)), block, self.twin_pipeline)
+            self.twin.feed(self.aids.read(self.aids.between(first_ns, last_ns, None)), block, self.twin_pipeline)
             block = fused if self.oracle_pipeline is self.pipeline else _fuse(self.oracle_pipeline, stamps, sequence, hidden)
-            self.oracle.feed([a for a in _ordered(aids) if not self._lies(a)], block, self.oracle_pipeline)
+            self.oracle.feed([aid for aid in aids if not self.aids.lies(aid, self.faults.faults)], block, self.oracle_pipeline)
             for lane, pipeline in ((self.twin, self.twin_pipeline), (self.oracle, self.oracle_pipeline)):
                 if pipeline is not self.pipeline:
                     lane.calibrate(pipeline)
         if writer is None:
             self.pipeline.drain_statuses()
         else:
-            self._write(writer, first_ns, last_ns, stamps, sequence, raw, fused, aids)
+            self._write(writer, first_ns, last_ns, stamps, sequence, raw, fused, found)
 
     def _part(self) -> None:
         self.twin, self.oracle = copy.deepcopy(self.lane), copy.deepcopy(self.lane)
         if self.imu_faults.faults:
             self.twin_pipeline, self.oracle_pipeline = copy.deepcopy(self.pipeline), copy.deepcopy(self.pipeline)
-
-    def _lies(self, aid: Aid) -> bool:
-        return any(f.target == aid.name and f.in_force(aid.stamp_ns - self.start) for f in self.faults.faults)
-
-    def _aids(self, first_ns: int, last_ns: int, faulty: bool) -> dict[str, tuple[NDArray[np.int64], Any]]:
-        """Blocks of each aid with stamps in (first_ns, last_ns], with absolute stamps."""
-        found: dict[str, tuple[NDArray[np.int64], Any]] = {}
-        sensors: dict[str, Any] = {**self.positions, **({"doppler": self.log} if self.log is not None else {})}
-        for name, sensor in sensors.items():
-            j0, j1 = first_ns // sensor.period_ns + 1, min(last_ns // sensor.period_ns, sensor.samples)
-            if j1 >= j0:
-                block = sensor.block(j0, j1 - j0 + 1, self.faults if faulty else None)
-                found[name] = (self.start + block.stamp_ns, block)
-        return found
 
     def _write(
         self,
@@ -213,10 +199,10 @@ class _Voyage:
         sequence: Any,
         raw: RawBlock,
         fused: FusedBlock,
-        aids: dict[str, tuple[Any, Any]],
+        found: Found,
     ) -> None:
         writer.raw_imu(stamps, sequence, raw)
-        for name, (aid_stamps, block) in aids.items():
+        for name, (aid_stamps, block) in found.items():
             writer.aid(name, aid_stamps, block)
         writer.fused_imu(fused, self.pipeline)
         period = TRUTH_PERIOD_NS if writer.raw else 1_000_000_000
@@ -244,7 +230,9 @@ class _Voyage:
         settled = lane.track
         counters, report = self.pipeline.counters, lane.navigator.status()
         fixes = {}
-        for name, sensor in self.positions.items():
+        for name, sensor in self.aids.sensors.items():
+            if not isinstance(sensor, PositionSim):
+                continue
             block = sensor.block(1, sensor.samples, self.faults)
             fixes[name] = (self.start + block.stamp_ns[block.has_fix], block.lat[block.has_fix], block.lon[block.has_fix])
         return RunRecord(
@@ -270,19 +258,6 @@ def samples(counters: Any, report: Any) -> Samples:
     malformed = counters.rejected_length + counters.rejected_stamp + counters.rejected_no_solution + report.imu_rejected
     late, wrong, no_fix = (sum(getattr(s, name) for s in report.subfilters) for name in ("late", "malformed", "no_fix"))
     return Samples(counters.received, counters.lost, late, malformed + wrong, no_fix)
-
-
-def aids_of(name: str, stamp_ns: NDArray[np.int64], block: PositionBlock | VelocityBlock) -> list[Aid]:
-    """Aids of a block of a simulated sensor, with the values that its message would carry (degrees)."""
-    if isinstance(block, VelocityBlock):
-        return [Aid(name, int(t), v, block.covariance) for t, v, good in zip(stamp_ns, block.v_b, block.valid, strict=True) if good]
-    z = np.column_stack([np.radians(np.degrees(block.lat)), np.radians(np.degrees(block.lon)), block.h])
-    return [Aid(name, int(t), row, block.covariance, bool(good)) for t, row, good in zip(stamp_ns, z, block.has_fix, strict=True)]
-
-
-def _ordered(found: dict[str, tuple[NDArray[np.int64], Any]]) -> list[Aid]:
-    made = [aid for name, (stamps, block) in found.items() for aid in aids_of(name, stamps, block)]
-    return sorted(made, key=lambda a: a.stamp_ns)
 
 
 def _as_received(state: InitialState) -> InitialState:

@@ -20,7 +20,7 @@ from riins_bag.typesys import OWN_PACKAGE
 from riins_core.frames import LocalFrame
 from riins_imu_fusion.reporting import inertial_fdi
 from riins_imu_fusion.types import FdiStatus
-from riins_node import fields
+from riins_node import alignment_fields, fields
 from riins_sim.further_sensors import AttitudeBlock, HeightBlock
 from riins_sim.sensors import PositionBlock, RawBlock, VelocityBlock
 from riins_sim.trajectory import Truth
@@ -36,6 +36,7 @@ FEDERATED, INERTIAL, FAULTS, INITIAL = (
     "riins_msgs/msg/FederatedStatus", "riins_msgs/msg/InertialFdi", "riins_msgs/msg/FaultArray", "riins_msgs/msg/InitialState",
 )  # fmt: skip
 CALIBRATION = "riins_msgs/msg/InertialCalibration"
+ALIGNMENT = "riins_msgs/msg/AlignmentStatus"
 REDUNDANT_IMU, FUSED_IMU = "riins_msgs/msg/RedundantImu", "riins_msgs/msg/FusedImu"
 ODOMETRY, FIX, TWIST = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistWithCovarianceStamped"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"

@@ -18,8 +18,8 @@ from scipy.stats import chi2
 from riins_core.noise import normal
 from riins_eval import blocks, configure, metrics
 from riins_eval.lane import Lane
-from riins_eval.offline import aids_of
 from riins_eval.run_record import Track
+from riins_eval.simulated_aids import aids_of
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState
 from riins_imu_fusion.pipeline import FusionPipeline
