@@ -100,7 +100,7 @@ def config(**over: object) -> NavigatorConfig:
         "isolation": {"hold_s": 5.0},
     }
     for section, values in over.items():
-        base[section] = {**base[section], **values} if isinstance(values, dict) else values  # type: ignore[dict-item]
+        base[section] = {**base.get(section, {}), **values} if isinstance(values, dict) else values  # type: ignore[dict-item]
     return build(NavigatorConfig, base)
 
 
