@@ -53,8 +53,18 @@ def calm(seconds: float, **changes):
     for k in range(1, round(seconds * 50) + 1):
         t = k * DT * 1e-9
         w = 2 * math.pi / 8.0
-        state = {"stamp_ns": k * DT, "mode": NAVIGATING, "validity": (0, 0, 0), "h": 7.0 + math.sin(w * t), "v_n": np.array([5.0, 0.0, -w * math.cos(w * t)]),
-                 "rph": np.zeros(3), "rate_b": np.zeros(3), "sigma_rph": np.full(3, 1e-4), "sigma_velocity": np.full(3, 0.002), "reset_count": 0}  # fmt: skip
+        state = {
+            "stamp_ns": k * DT,
+            "mode": NAVIGATING,
+            "validity": (0, 0, 0),
+            "h": 7.0 + math.sin(w * t),
+            "v_n": np.array([5.0, 0.0, -w * math.cos(w * t)]),
+            "rph": np.zeros(3),
+            "rate_b": np.zeros(3),
+            "sigma_rph": np.full(3, 1e-4),
+            "sigma_velocity": np.full(3, 0.002),
+            "reset_count": 0,
+        }
         made.append({**state, **changes})
     return made
 
@@ -87,7 +97,7 @@ def test_without_the_correction_it_would_be_a_fifth_out() -> None:
 
 
 def test_a_new_mean_level_is_forgotten() -> None:
-    """A step of the level is below 1 % after SETTLING_PERIODS for good; a constant velocity error gives no heave, a drifting one what drift_gain says."""
+    """A step of the level is below 1 % after SETTLING_PERIODS for good; a constant velocity error gives no heave, a drifting one drift_gain."""
     one = HeaveFilter(30.0)
     one.step(DT, 1.0 / (DT * 1e-9))  # a triangle of area 1 m
     after = np.array([one.step(DT, 0.0)[0] for _ in range(round(4 * 30.0 * 50))])

@@ -95,7 +95,7 @@ def test_a_taken_port_an_unknown_host_and_a_refused_datagram_are_told() -> None:
         one.bind(("127.0.0.1", 0))
         with pytest.raises(LinkError, match="cannot be listened to"):
             Receiver([parse_link(f"udp://127.0.0.1:{one.getsockname()[1]}", False)], SerialLines(), lambda *_: None)
-    with pytest.raises(LinkError, match="udp://ship.invalid:9"):
+    with pytest.raises(LinkError, match=r"udp://ship\.invalid:9"):
         Sender(parse_link("udp://ship.invalid:9", True), SerialLines())
     sender = Sender(parse_link("udp://127.0.0.1:9", True), SerialLines())
     sender.send(["$" + "x" * 70000])  # the kernel refuses it
