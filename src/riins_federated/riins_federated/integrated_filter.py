@@ -203,7 +203,7 @@ class IntegratedFilter:
         self._check_receivers()
         out = []
         for one in self._structure.close():
-            local = self.subfilters[one.index]
+            local = self.subfilters[one.aid]
             self._announce(one.jump)
             out.append(TakenOut(self.stamp_ns, local.name, local.take_out(self.stamp_ns), one.statistic, one.threshold, self._running().reset))
         return out

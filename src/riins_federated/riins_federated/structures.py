@@ -63,7 +63,7 @@ class Layout(NamedTuple):
 class Replaced(NamedTuple):
     """What an aid had put in has been taken out of the master."""
 
-    index: int
+    aid: int
     statistic: float
     threshold: float
     jump: Array
