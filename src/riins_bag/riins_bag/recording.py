@@ -19,10 +19,10 @@ from riins_bag.typesys import require
 from riins_bag.writer import BagWriter
 from riins_core.settings import setting
 
-AHEAD_TOPICS = ("/nav/commands", "/fdi/method")
+AHEAD_TOPICS = ("/nav/commands", "/nav/align", "/fdi/method")
 """Their messages say from which stamp they hold and may have been recorded behind it: they are played before the first sample."""
 AIDS = ("gps", "bds", "doppler", "odometer", "altimeter", "star_tracker")
-RAW_TOPICS = ("/rimu/raw", *(f"/{aid}/*" for aid in AIDS), "/nav/initial_state", "/truth/*", "/riins/configuration", *AHEAD_TOPICS)
+RAW_TOPICS = ("/rimu/raw", *(f"/{aid}/*" for aid in AIDS), "/nav/initial_state", "/master/*", "/truth/*", "/riins/configuration", *AHEAD_TOPICS)
 TICK_S = 0.05  # how often the writing thread looks for messages
 SPOOL_BYTES = 256 * 1024 * 1024  # what may wait for a slow disk
 

@@ -276,7 +276,7 @@ def _sources(scenario: Any) -> dict[str, tuple[str, ...]]:
     sources: dict[str, tuple[str, ...]] = {"rimu": ("rimu/raw",)}
     for name in suite.enabled(scenario):
         sources[name] = suite.TOPICS[name][:1]
-    sources["truth"] = ("truth/state", "truth/odometry", "nav/initial_state")
+    sources["truth"] = ("truth/state", "truth/odometry", *(("nav/initial_state",) if scenario.initial.given else ()))
     return sources
 
 

@@ -25,7 +25,7 @@ from .lane import fault_intervals, judged_arrays
 from .metrics import NEES7
 from .recording import ORACLE_TOPIC, RAW_IMU, TWIN_TOPIC
 from .run_configuration import RecordError, RunConfiguration, holds, read_configuration
-from .run_record import HealthChange, RunRecord, Samples, SensorUse, Stamps, Track
+from .run_record import Alignment, HealthChange, RunRecord, Samples, SensorUse, Stamps, Track
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, float], None]
@@ -89,11 +89,11 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in configuration.recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
-            drift=_drift(reader), ended_ns=_last_status_ns(reader),
+            drift=_drift(reader), ended_ns=_last_status_ns(reader), alignment=_alignment(reader),
         )  # fmt: skip
         for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
             if holds(reader, topic):
-                setattr(record, name, _at_stamps(_track(reader.columns(topic, _STATE))[0], settled.stamp_ns))
+                setattr(record, name, _track(reader.columns(topic, _STATE))[0].at(settled.stamp_ns))
     if not navigated:
         record.notes.append("There is no initial state in the bag: fusion and fault detection ran alone, nothing was navigated.")
     elif record.twin is None and twins is not False:
@@ -202,12 +202,18 @@ def _track(columns: dict[str, NDArray[Any]]) -> tuple[Track, NDArray[np.intp]]:
     return Track(stamps[index].astype(np.int64), np.radians(c["latitude"]), np.radians(c["longitude"]), c["height"], v_n, rph), index
 
 
-def _at_stamps(track: Track, stamp_ns: Stamps) -> Track | None:
-    """The track at exactly these stamps; None when it has not all of them."""
-    at = np.clip(np.searchsorted(track.stamp_ns, stamp_ns), 0, max(len(track) - 1, 0))
-    if not len(track) or (track.stamp_ns[at] != stamp_ns).any():
+def _alignment(reader: BagReader) -> Alignment | None:
+    """The last alignment that ended, else the last status of one; None where the navigator was given its state."""
+    if not holds(reader, "/nav/alignment"):
         return None
-    return track.take(at)
+    statuses = [m for _, _, m in reader.read(["/nav/alignment"])]
+    ended = [m for m in statuses if "aligned by " in m.text or "alignment failed" in m.text or "alignment cancelled" in m.text]
+    spoken = ended[-1] if ended else statuses[-1]
+    if not spoken.method:
+        return None
+    stamp = to_ns(spoken.header.stamp)
+    began = stamp - round(spoken.elapsed * 1e9)
+    return Alignment(spoken.method, spoken.text, "aligned by " in spoken.text, began, stamp, float(statuses[-1].settle_time))
 
 
 def _covariance(reader: BagReader, settled: Track) -> Floats | None:
@@ -358,7 +364,7 @@ def _sail_twins(record: RunRecord, configuration: RunConfiguration, faults: list
 
     assert record.origin_ns is not None
     again = sail(scenario, progress=progress, start_at_ns=record.origin_ns).record
-    record.twin = _at_stamps(again.twin, record.settled.stamp_ns) if again.twin is not None else None
-    record.oracle = _at_stamps(again.oracle, record.settled.stamp_ns) if again.oracle is not None else None
+    record.twin = again.twin.at(record.settled.stamp_ns) if again.twin is not None else None
+    record.oracle = again.oracle.at(record.settled.stamp_ns) if again.oracle is not None else None
     if record.twin is None:
         record.notes.append("The settled epochs of this run are not those of its scenario sailed again: there is no twin to compare with.")

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from riins_fdi.health import TRIAD_CODE
+from riins_federated.alignment_settings import AlignmentReport
+from riins_federated.alignment_settle import AlignmentStatus, SettleWatch
 from riins_federated.calibration import Calibration, Calibrator
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, FederatedReport, NavEvent, Recall
@@ -20,7 +22,7 @@ from riins_imu_fusion.pipeline import FusionPipeline
 from riins_imu_fusion.types import FdiEvent, FusedBlock
 
 from . import blocks, metrics
-from .run_record import FAULT_TYPES, HEALTHY, FaultInterval, HealthChange, Judged, SensorUse, Stamps, Track
+from .run_record import FAULT_TYPES, HEALTHY, Alignment, FaultInterval, HealthChange, Judged, SensorUse, Stamps, Track
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +42,7 @@ class Lane:
 
     Attributes
     ----------
-    calibrations, solutions, judged, events : what came out since `take` was last called, for a recorder
+    calibrations, solutions, judged, events, alignment : what came out since `take` was last called, for a recorder
     """
 
     def __init__(self, navigator: Navigator) -> None:
@@ -49,6 +51,11 @@ class Lane:
         self.judged: list[Any] = []
         self.events: list[NavEvent] = []
         self.calibrations: list[Calibration] = []
+        self.alignment: list[AlignmentStatus] = []
+        self._reports: list[AlignmentReport] = []
+        self._ended: list[AlignmentReport] = []
+        self._settle_s = -1.0
+        self._watch = SettleWatch(navigator.config)
         self._calibrator = Calibrator(navigator.config)
         self._tracks: list[Track] = []
         self._covariances: list[Floats] = []
@@ -77,6 +84,12 @@ class Lane:
         """Take out what is settled."""
         self.solutions, self.judged = self.navigator.drain_settled(), self.navigator.drain_judged()
         self.calibrations = self._calibrator.take(self.solutions)
+        reports = self.navigator.drain_alignment()
+        self.alignment = self._watch.take(reports, self.solutions)
+        self._reports = [*self._reports[-1:], *reports]
+        self._ended += [report for report in reports if report.ended]
+        if self.alignment:
+            self._settle_s = self.alignment[-1].settle_s
         if self.solutions:
             self._tracks.append(blocks.track_of(self.solutions))
             self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))
@@ -92,6 +105,14 @@ class Lane:
     def track(self) -> Track:
         """Settled states so far."""
         return join_tracks(self._tracks)
+
+    @property
+    def last_alignment(self) -> Alignment | None:
+        """The last alignment, None where there was none."""
+        if not self._reports:
+            return None
+        last = self._ended[-1] if self._ended else self._reports[-1]
+        return Alignment(last.method, last.text, last.ended == "aligned", last.begin_ns, last.stamp_ns, self._settle_s)
 
     @property
     def covariance(self) -> Floats:

@@ -128,10 +128,13 @@ class _Voyage:
         drawn = initial_state(self.scenario, self.trajectory)
         names = [f.name for f in dataclasses.fields(InitialState) if f.name not in ("stamp_ns", "source") and hasattr(drawn, f.name)]
         state = InitialState(stamp_ns=self.start + drawn.stamp_ns, source="scenario", **{n: getattr(drawn, n) for n in names})
-        self.lane.navigator.set_initial_state(_as_received(state))
+        given = self.scenario.initial.given
+        if given:
+            self.lane.navigator.set_initial_state(_as_received(state))
         if writer is not None:
             writer.configuration(configure.configuration_text(self.scenario, self.start), self.start)
-            writer.initial_state(state)
+            if given:
+                writer.initial_state(state)
             writer.faults(self.start, self.faults.faults, self.start, "scenario")
             writer.truth(np.array([self.start]), self.trajectory.truth([0.0]))
         size = max(1, round(CHUNK_S / self.trajectory.dt))
@@ -217,6 +220,7 @@ class _Voyage:
         lane = self.lane
         writer.settled(lane.solutions, lane.navigator.labels)
         writer.calibrations(lane.calibrations)
+        writer.alignment(lane.alignment)
         writer.judged(lane.judged)
         report = lane.navigator.status()
         for event in lane.events:
@@ -242,9 +246,10 @@ class _Voyage:
             faults=fault_intervals(self.faults.faults, self.start, end_ns), origin_ns=self.start,
             scoring_from_ns=self.start + round(self.scenario.scoring.from_s * 1e9), use=self.log_of_fusion.use,
             samples=samples(counters, report), n_sensors=self.pipeline.n,
-            twin=settled if self.same else self.twin.track if self.twin else None,
-            oracle=settled if self.same else self.oracle.track if self.oracle else None,
+            twin=settled if self.same else self.twin.track.at(settled.stamp_ns) if self.twin else None,
+            oracle=settled if self.same else self.oracle.track.at(settled.stamp_ns) if self.oracle else None,
             realtime_factor=realtime_factor, aid_fixes=fixes, expect=dict(self.scenario.expect), drift=self.pipeline.drift, ended_ns=end_ns,
+            alignment=lane.last_alignment,
         )  # fmt: skip
 
 

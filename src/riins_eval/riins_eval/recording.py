@@ -168,6 +168,12 @@ class RunWriter:
             for one in calibrations:
                 self._bag.write_message("/nav/calibration", CALIBRATION, fields.inertial_calibration(one), int(one.estimated_ns))
 
+    def alignment(self, statuses: Iterable[Any]) -> None:
+        """How the navigator finds its attitude, and what has become of it (riins_federated AlignmentStatus)."""
+        if self.nav:
+            for one in statuses:
+                self._bag.write_message("/nav/alignment", ALIGNMENT, alignment_fields.alignment_status(one), int(one.stamp_ns))
+
     def judged(self, judged: Iterable[Any]) -> None:
         """Innovations (riins_federated Judged)."""
         if self.nav:

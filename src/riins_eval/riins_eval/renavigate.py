@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from riins_bag.bag import BagReader
 from riins_federated.aid_inputs import AidInput, inputs
+from riins_federated.alignment_settings import AlignCommand, MasterState
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, InitialState, UseCommand
 from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.types import FusedBlock, join
-from riins_node import readings
+from riins_node import alignment_fields, readings
 
 from . import score as scoring
 from .bag_record import read_faults, read_fixes, read_reference, reference_at, run_start
@@ -33,9 +34,10 @@ from .run_record import RunRecord
 
 WINDOW_NS = 10_000_000_000
 INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC = "/nav/initial_state", "/nav/commands", "/fdi/method"
+ALIGN_TOPIC, MASTER_TOPIC = "/nav/align", "/master/state"
 RAW_TOPICS = (
     RAW_IMU, "/gps/fix", "/bds/fix", "/doppler/velocity", "/gps/velocity", "/bds/velocity", "/odometer/velocity", "/altimeter/height",
-    "/star_tracker/attitude", INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC,
+    "/star_tracker/attitude", INITIAL_TOPIC, COMMAND_TOPIC, ALIGN_TOPIC, METHOD_TOPIC, MASTER_TOPIC,
     "/truth/state", "/truth/odometry", "/truth/faults",
 )  # fmt: skip
 
@@ -50,6 +52,9 @@ class _Method(NamedTuple):
     effective_ns: int
 
 
+Other = Aid | InitialState | UseCommand | AlignCommand | MasterState | _Method
+
+
 class _Window(NamedTuple):
     """What arrived within a stretch of log time, IMU samples in order of arrival."""
 
@@ -62,7 +67,7 @@ class _Window(NamedTuple):
     accel_valid: NDArray[np.uint64]
     gyros: NDArray[np.int64]
     accels: NDArray[np.int64]
-    others: list[tuple[int, Aid | InitialState | UseCommand | _Method]]
+    others: list[tuple[int, Other]]
 
 
 def navigate(
@@ -119,9 +124,10 @@ class _Run:
         self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
         self._newest = -(2**62)
         self.notes: list[str] = []
-        self._alone = not holds(reader, INITIAL_TOPIC)
+        aligns = configuration.navigator.alignment.method != "none" or holds(reader, ALIGN_TOPIC)
+        self._alone = not holds(reader, INITIAL_TOPIC) and not aligns
         if self._alone and configuration.simulated:
-            raise RecordError(f"{reader.path} has no {INITIAL_TOPIC}: the navigator would never start")
+            raise RecordError(f"{reader.path} has no {INITIAL_TOPIC}, and no alignment: the navigator would never start")
         if self._alone:
             self.notes.append("There is no initial state in the bag: fusion and fault detection ran alone, nothing was navigated.")
 
@@ -155,8 +161,8 @@ class _Run:
 
     def _windows(self) -> Iterator[tuple[int, _Window]]:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
-        others_from = [t for t in (*self._aids, INITIAL_TOPIC) if t in self.reader.topics]
-        commands_from = [t for t in (COMMAND_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
+        others_from = [t for t in (*self._aids, INITIAL_TOPIC, MASTER_TOPIC) if t in self.reader.topics]
+        commands_from = [t for t in (COMMAND_TOPIC, ALIGN_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
         heard = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
         # a busy recorder may hear of a command long after the sample it holds from: its own stamp counts if it is earlier
         commands = [(min(log_ns, c.effective_ns if isinstance(c, _Method) else c.stamp_ns), c) for log_ns, c in heard]
@@ -164,7 +170,7 @@ class _Run:
         while start <= self.reader.end_ns:
             stop = start + WINDOW_NS
             c = self.reader.columns(RAW_IMU, names, start, stop)
-            others: list[tuple[int, Aid | InitialState | UseCommand | _Method]] = []
+            others: list[tuple[int, Other]] = []
             others += [(log_ns, item) for topic, log_ns, message in self.reader.read(others_from, start, stop) for item in self._take(topic, message)]
             others += [c for c in commands if c[0] < stop + self._max_delay]
             commands = [c for c in commands if c[0] >= stop + self._max_delay]
@@ -174,15 +180,19 @@ class _Run:
             )  # fmt: skip
             start = stop
 
-    def _take(self, topic: str, message: Any) -> list[Aid | InitialState]:
+    def _take(self, topic: str, message: Any) -> list[Other]:
         if topic == INITIAL_TOPIC:
             return [InitialState(**readings.read_initial_state(message))]
+        if topic == MASTER_TOPIC:
+            return [MasterState(**alignment_fields.read_master_state(message))]
         return [aid for source in self._aids[topic] if (aid := source.read(message)) is not None]
 
-    def _command(self, topic: str, message: Any) -> UseCommand | _Method:
+    def _command(self, topic: str, message: Any) -> UseCommand | AlignCommand | _Method:
         """A command of the recording; what the caller has overridden stays as he wants it."""
         if topic == COMMAND_TOPIC:
             return UseCommand(**readings.read_sensor_use(message))
+        if topic == ALIGN_TOPIC:
+            return AlignCommand(**alignment_fields.read_align_command(message))
         fusion, given = self.configuration.fusion, readings.read_fusion_method(message)
         names = {"fusion": "method", "parity_test": "parity_test", "sequential_test": "sequential_test", "adapt_noise": "adapt_noise"}
         return _Method(**{**given, **{ours: getattr(fusion, name) for ours, name in names.items() if name in self._overridden}})
@@ -195,9 +205,11 @@ class _Run:
                 if not result.success:
                     self.notes.append(f"Selection at {(item.effective_ns - self.reader.start_ns) / 1e9:.1f} s refused: {result.message}.")
                 continue
-            if not isinstance(item, UseCommand):
+            if not isinstance(item, UseCommand | AlignCommand):
                 continue
-            if item.name.partition("_")[0] in KINDS:
+            if isinstance(item, AlignCommand):
+                problem = self.lane.navigator.align(item)
+            elif item.name.partition("_")[0] in KINDS:
                 result = self.pipeline.set_sensor_use(item.name, item.use, item.stamp_ns)
                 problem = "" if result.success else result.message
             else:
@@ -239,7 +251,10 @@ class _Run:
         newest = np.maximum.accumulate(np.maximum(part.stamp_ns, self._newest)) if len(part.stamp_ns) else part.stamp_ns
         early: list[Aid] = []
         for log_ns, item in part.others:
-            if isinstance(item, UseCommand | _Method):
+            if isinstance(item, UseCommand | AlignCommand | _Method):
+                continue
+            if isinstance(item, MasterState):
+                self.lane.navigator.add_master(item)
                 continue
             if isinstance(item, InitialState):
                 problem = self.lane.navigator.set_initial_state(item)
@@ -260,6 +275,7 @@ class _Run:
         lane = self.lane
         writer.settled(lane.solutions, lane.navigator.labels)
         writer.calibrations(lane.calibrations)
+        writer.alignment(lane.alignment)
         writer.judged(lane.judged)
         report = lane.navigator.status()
         for event in lane.events:
@@ -271,7 +287,7 @@ class _Run:
     def _record(self, seconds: float) -> RunRecord:
         lane, reader, configuration = self.lane, self.reader, self.configuration
         settled = lane.track
-        if not len(settled) and not self._alone:
+        if not len(settled) and not self._alone and lane.last_alignment is None:
             delay = configuration.navigator.max_delay_s
             raise RecordError(f"{reader.path}: the navigator never started; is the initial state within {delay:g} s of an IMU sample?")
         start_ns = run_start(reader, configuration, settled)
@@ -290,7 +306,7 @@ class _Run:
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
-            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0,
+            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignment=lane.last_alignment,
         )  # fmt: skip
 
 

@@ -62,6 +62,13 @@ class Track:
         """The epochs of a mask or an index array."""
         return Track(*(getattr(self, f.name)[index] for f in dataclasses.fields(self)))
 
+    def at(self, stamp_ns: Stamps) -> Track | None:
+        """The track at exactly these stamps; None when it has not all of them."""
+        index = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 0, max(len(self) - 1, 0))
+        if not len(self) or (self.stamp_ns[index] != stamp_ns).any():
+            return None
+        return self.take(index)
+
     @classmethod
     def empty(cls) -> Track:
         """A track of no epoch."""
@@ -212,6 +219,26 @@ class Samples:
     no_fix: int | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class Alignment:
+    """The last alignment of a run.
+
+    Attributes
+    ----------
+    method, text : of its last status
+    aligned : it ended in a state
+    began_ns, ended_ns : of its first and last status
+    settle_s : from its beginning until the heading given out had settled; negative: it did not
+    """
+
+    method: str
+    text: str
+    aligned: bool
+    began_ns: int
+    ended_ns: int
+    settle_s: float
+
+
 @dataclasses.dataclass
 class RunRecord:
     """Everything that scoring and reporting need of one run.
@@ -242,6 +269,7 @@ class RunRecord:
     notes : what the reader must know (simulated aids, unknown things)
     drift : (2, n), removed from each gyro [rad/s] and accelerometer [m/s^2] at the end of the run, None when not known
     ended_ns : stamp of the last IMU sample, 0: not known; for a run that was fused but not navigated
+    alignment : how the navigator found its attitude; None: a state was given, or the run does not say
     """
 
     name: str
@@ -268,6 +296,7 @@ class RunRecord:
     notes: list[str] = dataclasses.field(default_factory=list)
     drift: Floats | None = None
     ended_ns: int = 0
+    alignment: Alignment | None = None
 
     @property
     def start_ns(self) -> int:

@@ -118,6 +118,12 @@ def table(result: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("to the oracle: position, velocity, heading", ", ".join(_text(ratio[k], 3) for k in ("position", "velocity", "heading")), ""))
     if result["twin_deviation_max_m"] is not None:
         rows.append(("largest distance from the fault-free twin", _text(result["twin_deviation_max_m"], 2), "m"))
+    if result["alignment"] is not None:
+        found = result["alignment"]
+        how = f"{found['method']}, {_text(found['elapsed_s'], 0)} s" if found["aligned"] else found["text"]
+        rows.append(("alignment", how, ""))
+        rows.append(("heading error at its end", _text(found["heading_error_arcmin"], 2), "arcmin"))
+        rows.append(("heading settled after (A.821)", _text(found["settle_s"], 0), "s"))
     rows.append(("false isolations", str(result["false_isolations"]), ""))
     rows += [
         (f"samples {name}", _text(samples[name], 0), "") for name in ("received", "lost", "late", "rejected", "no_fix") if samples[name] is not None
@@ -179,10 +185,24 @@ def _numbers(record: RunRecord) -> Score:
         "twin_deviation_max_m": _twin(record),
         "faults": [_fault(record, fault) for fault in sorted(record.faults, key=lambda f: f.start_ns)],
         "missed_isolations": sum(not _outcome(record, f).isolated for f in record.faults),
+        "alignment": _alignment(record),
         "false_isolations": len(wrong),
         "false_isolations_list": [_change(record, c) for c in wrong],
         "sensors": _sensors(record),
         "subfilters": {name: _subfilter(record, name) for name in sorted(record.judged)},
+    }  # fmt: skip
+
+
+def _alignment(record: RunRecord) -> Score | None:
+    """How the attitude was found; the heading error is that of the first settled epoch after."""
+    found = record.alignment
+    if found is None:
+        return None
+    after = record.settled.stamp_ns >= found.ended_ns
+    error = metrics.heading_error(record.settled.take(after), record.truth.take(after)) if found.aligned and after.any() else np.zeros(0)
+    return {
+        "method": found.method, "aligned": found.aligned, "text": found.text, "elapsed_s": _seconds(found.ended_ns - found.began_ns),
+        "heading_error_arcmin": _number(error[0] * ARCMIN if len(error) else None), "settle_s": found.settle_s if found.settle_s >= 0.0 else None,
     }  # fmt: skip
 
 

@@ -115,6 +115,7 @@ class StarTrackerSettings:
 class InitialSettings:
     """1-sigma errors of the state the navigator starts from."""
 
+    given: bool = setting(True, "whether the navigator is given this state; false: it aligns itself, see its section alignment")
     position_m: float = setting(30.0, "of each axis north and east", "m", low=1e-3)
     height_m: float = setting(2.0, "of the height", "m", low=1e-3)
     velocity_mps: float = setting(0.1, "of each axis", "m/s", low=1e-4)

@@ -50,7 +50,8 @@ class TruthNode(SimNode):
         self._initial = self.create_publisher(InitialState, "nav/initial_state", qos.latched(), qos_overriding_options=overridable)
         self.begin()
         stamped = dataclasses.replace(drawn, stamp_ns=self.pacer.start_at_ns + drawn.stamp_ns)
-        self._initial.publish(fill(InitialState, fields.initial_state(stamped)))
+        if self.scenario.initial.given:
+            self._initial.publish(fill(InitialState, fields.initial_state(stamped)))
         self.pace(self._period_ns, int(self.scenario.duration_s * 1e9) // self._period_ns, self._emit, -1)
 
     def _declare(self) -> TruthSettings:
