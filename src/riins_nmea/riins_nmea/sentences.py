@@ -16,7 +16,7 @@ import numpy as np
 
 from riins_core.earth import radii
 
-WAITING, ALIGNMENT, NAVIGATING, COASTING = 0, 1, 2, 3
+WAITING, NAVIGATING, COASTING = 0, 2, 3
 VALID, DOUBTFUL, INVALID = 0, 1, 2
 NO_FIX, AUTONOMOUS, ESTIMATED, SIMULATOR = 0, 1, 6, 8
 """Quality field of GGA."""
@@ -41,7 +41,7 @@ class Picture:
     """What is known at `stamp_ns`, of the reference point; angles rad, FRD and NED, as `readings.read_nav_state` has them.
 
     `validity` is of position, velocity, heading; `gnss`: a GNSS position is being fused; `heave` [m, up] and `water` (forward, starboard) [m/s]
-    are None where unknown.
+    are None where unknown; `aligning`: alignment code 0..2 while there is no solution.
     """
 
     stamp_ns: int
@@ -57,6 +57,7 @@ class Picture:
     gnss: bool = False
     heave: float | None = None
     water: tuple[float, float] | None = None
+    aligning: int = 0
 
     @property
     def navigating(self) -> bool:
@@ -160,9 +161,9 @@ def pashr(now: Picture, form: Form) -> str:
 
     Notes
     -----
-    Codes `alignment`, as in the RT300 sentence: GNSS quality as in GGA (0, 1, 6; 8 simulated), and 0 no solution, 1 coarse levelling, 2 degraded
-    (aligning finely, or heading invalid), 3 aligned (heading doubtful, or coasting), 4 full navigation. Codes `flags`, as position and
-    orientation systems for ships have them: GNSS aiding 0/1 and IMU 0/1.
+    Codes `alignment`, as in the RT300 sentence: GNSS quality as in GGA (0, 1, 6; 8 simulated), and that of riins_msgs/AlignmentStatus: 0 no
+    attitude, 1 coarse levelling, 2 degraded (attitude being refined, or nothing but inertial), 3 aligned, 4 full navigation: heading valid.
+    Codes `flags`, as position and orientation systems for ships have them: GNSS aiding 0/1 and IMU 0/1.
     """
     heading_known, tilt_known = now.valid(2) != INVALID, now.navigating
     heading = angle(now.rph[2], 2).zfill(6) if heading_known else ""
@@ -206,14 +207,11 @@ def quality(now: Picture, form: Form) -> int:
 
 def alignment(now: Picture) -> int:
     """Alignment code of PASHR, see `pashr`."""
-    heading = now.validity[2]
-    if now.mode == ALIGNMENT:
-        return 1 if heading == INVALID else 2
     if not now.navigating:
-        return 0
-    if heading == INVALID:
+        return now.aligning
+    if now.mode == COASTING:
         return 2
-    return 4 if heading == VALID and now.mode == NAVIGATING else 3
+    return 4 if now.validity[2] == VALID else 3
 
 
 def _mode(now: Picture, form: Form, validity: int, invalid: str) -> str:

@@ -26,7 +26,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStam
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import NavSatFix
 
-from riins_msgs.msg import FederatedStatus, NavState, SubfilterStatus, VesselMotion
+from riins_msgs.msg import AlignmentStatus, FederatedStatus, NavState, SubfilterStatus, VesselMotion
 from riins_nmea.nodes import motion, nmea
 from riins_nmea.sentences import sentence
 from riins_node import convert, qos
@@ -119,11 +119,14 @@ def test_a_run_of_the_navigator_is_what_the_bridge_reads(bench: tuple[Bench, soc
     made, ear, _ = bench
     motions: list[VesselMotion] = []
     states = made.other.create_publisher(NavState, "nav/state", qos.navigation())
+    alignment = made.other.create_publisher(AlignmentStatus, "nav/alignment", qos.latched())
     health = made.other.create_publisher(FederatedStatus, "nav/subfilters", qos.latched())
     made.other.create_subscription(VesselMotion, "nav/motion", motions.append, qos.navigation())
     made.until(lambda: states.get_subscription_count() == 2 and health.get_subscription_count() == 1 and made.other.count_publishers("nav/motion"))
     made.until(lambda: made.motion._out.get_subscription_count() == 2)
     made.until(lambda: (silent := drain(ear)) and fields(silent, "GGA") and fields(silent, "THS")[-1][1:] == ["", "V"])
+    alignment.publish(AlignmentStatus(phase=AlignmentStatus.COARSE, code=AlignmentStatus.CODE_LEVELING))
+    made.until(lambda: any(one[4:7] + one[10:] == ["", "", "", "0", "1"] for one in fields(drain(ear), "PASHR")))
 
     def report(k: int, name: str) -> None:
         one = FederatedStatus(subfilters=[SubfilterStatus(name=name, state=SubfilterStatus.HEALTHY)])

@@ -7,6 +7,7 @@ Does not live here: sentences (sentences.py), when they are due (schedule.py), j
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 import time
 from collections import deque
@@ -19,7 +20,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStam
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import NavSatFix
 
-from riins_msgs.msg import FederatedStatus, NavState, SubfilterStatus, VesselMotion
+from riins_msgs.msg import AlignmentStatus, FederatedStatus, NavState, SubfilterStatus, VesselMotion
 from riins_nmea import messages, sentences
 from riins_nmea.aids import AidReader, Lines, Reading
 from riins_nmea.config import NmeaConfig
@@ -32,6 +33,7 @@ from riins_node.runner import AutostartLifecycleNode, StartError, run
 
 FUSED = (SubfilterStatus.HEALTHY, SubfilterStatus.SUSPECT)
 _STATUS_AGE_NS = 5_000_000_000  # the navigator repeats it every second
+_ALIGNMENT_AGE_S = 5.0
 _TYPES: dict[str, tuple[type, Callable[[Reading, str], fields.Fields]]] = {
     "position": (NavSatFix, messages.nav_sat_fix),
     "velocity": (TwistWithCovarianceStamped, messages.ground_velocity),
@@ -71,6 +73,7 @@ class NmeaNode(AutostartLifecycleNode):
         self._schedule = Schedule(dataclasses.asdict(config.rate_hz), config.heave_wait_s)
         self._pictures: dict[int, sentences.Picture] = {}
         self._motion_heard, self._status = False, (0, False)
+        self._aligning = (-math.inf, 0)
         self._water: tuple[int, tuple[float, float]] | None = None
         self._heard, self._newest_ns = time.monotonic(), 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.navigation(), qos_overriding_options=override)
@@ -87,6 +90,7 @@ class NmeaNode(AutostartLifecycleNode):
                 take(NavState, "nav/state", self._on_state, qos.navigation()),
                 take(VesselMotion, "nav/motion", self._on_motion, qos.navigation()),
                 take(FederatedStatus, "nav/subfilters", self._on_status, qos.latched()),
+                take(AlignmentStatus, "nav/alignment", self._on_alignment, qos.latched()),
             ]
         self._clocks = [self.create_timer(1.0, self._diagnose), self.create_timer(0.05, self._watch)]
         self._arrived: deque[tuple[str, bytes, bool, int]] = deque()
@@ -158,6 +162,10 @@ class NmeaNode(AutostartLifecycleNode):
         fused = any(sub.name in self._config.gnss_aids and sub.state in FUSED for sub in message.subfilters)
         self._status = (convert.to_ns(message.header.stamp), fused)
 
+    def _on_alignment(self, message: Any) -> None:
+        under_way = message.phase in (AlignmentStatus.COARSE, AlignmentStatus.FINE)
+        self._aligning = (time.monotonic(), message.code if under_way else 0)
+
     def _send_waiting(self) -> None:
         for stamp, heave in self._schedule.ready(self._newest_ns):
             self._send(dataclasses.replace(self._pictures.pop(stamp), heave=heave), ["pashr"])
@@ -172,7 +180,9 @@ class NmeaNode(AutostartLifecycleNode):
         silent = time.monotonic() - self._heard
         if self.active and self._senders and silent > self._config.state_timeout_s:
             now = self._newest_ns + round(silent * 1e9) if self._newest_ns else self.get_clock().now().nanoseconds
-            self._send(sentences.Picture(now), self._schedule.due(now))
+            heard, code = self._aligning
+            aligning = code if time.monotonic() - heard <= _ALIGNMENT_AGE_S else 0
+            self._send(sentences.Picture(now, aligning=aligning), self._schedule.due(now))
 
     # ---- in ----
 
