@@ -36,14 +36,16 @@ def play(bag: Path, *, rate: float, start: float, loop: bool, all_topics: bool, 
     """
     from riins_bag.reader import BagReader, namespaces
     from riins_bag.recording import RAW_TOPICS
+    from riins_eval.run_configuration import aid_topics
 
     with BagReader(bag) as reader:  # says what is wrong before a node starts
         topics, recorded = sorted(reader.topics), namespaces(reader.topics)
+        raw = dict.fromkeys((*RAW_TOPICS, *aid_topics(reader)))
     parameters: dict[str, Any] = {"path": str(bag.absolute()), "rate": rate, "start_offset_s": start, "loop": loop, "publish_clock": True}
     if all_topics:
         parameters["topics"] = ["*"]
     elif recorded:
-        parameters["topics"] = ["/riins/configuration", *(f"/{name}{topic}" for name in recorded for topic in RAW_TOPICS)]
+        parameters["topics"] = ["/riins/configuration", *(f"/{name}{topic}" for name in recorded for topic in raw)]
     moved = tuple((topic, f"/{namespace.strip('/')}{topic}") for topic in topics) if namespace.strip("/") else ()
     spec = NodeSpec("riins_bag", "player", "player", "source", parameters, namespace=namespace, remappings=moved)
     executable = find_executable(spec.package, spec.executable)

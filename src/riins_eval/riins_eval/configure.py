@@ -17,6 +17,7 @@ from riins_core.earth import STANDARD_GRAVITY
 from riins_core.imu_array import CONFIGURATIONS
 from riins_core.sensor_errors import KNOT
 from riins_core.settings import as_mapping, build
+from riins_federated.aids import DEFAULT_AIDS
 from riins_federated.config import NavigatorConfig
 from riins_imu_fusion.config import FusionConfig
 from riins_sim.scenario import Scenario
@@ -38,6 +39,16 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in over.items():
         inner = result.get(key)
         result[key] = merged(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def redeclared(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a navigator with those of `over` in their place; sections of aids that a new list no longer names are left out."""
+    result = merged(base, over)
+    names = over.get("aids")
+    if isinstance(names, list | tuple):
+        gone = {name for name in base.get("aids", DEFAULT_AIDS) if name not in names and name not in over}
+        result = {key: value for key, value in result.items() if key not in gone}
     return result
 
 
@@ -100,10 +111,7 @@ def navigator_config(scenario: Scenario) -> NavigatorConfig:
         }
     further = _further_aids(scenario)
     settings |= {"aids": [*aids, *further], **further}
-    wanted = merged(settings, scenario.navigator)
-    if isinstance(wanted["aids"], list | tuple):  # what the ship has and the navigator is not to know of
-        wanted = {key: value for key, value in wanted.items() if key not in settings["aids"] or key in wanted["aids"]}
-    return build(NavigatorConfig, wanted, ("navigator",))
+    return build(NavigatorConfig, redeclared(settings, scenario.navigator), ("navigator",))
 
 
 def _further_aids(scenario: Scenario) -> dict[str, dict[str, Any]]:

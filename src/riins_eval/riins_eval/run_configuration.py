@@ -14,11 +14,12 @@ import yaml
 
 from riins_bag.bag import BagReader
 from riins_core.settings import SettingError, build
+from riins_federated.aid_inputs import inputs
 from riins_federated.config import NavigatorConfig
 from riins_imu_fusion.config import FusionConfig
 from riins_sim.scenario import Scenario
 
-from .configure import merged
+from .configure import merged, redeclared
 
 
 class RecordError(ValueError):
@@ -91,8 +92,16 @@ def read_configuration(reader: BagReader, overrides: Mapping[str, Any] | None = 
     return RunConfiguration(
         text, scenario, content.get("recording") or {}, int(content.get("start_at_ns") or 0),
         build(FusionConfig, merged(fusion, over.get("fusion", {})), ("fusion",)),
-        build(NavigatorConfig, merged(navigator, over.get("navigator", {})), ("navigator",)),
+        build(NavigatorConfig, redeclared(navigator, over.get("navigator", {})), ("navigator",)),
     )  # fmt: skip
+
+
+def aid_topics(reader: BagReader) -> list[str]:
+    """Topics of the aids that the configuration of a bag declares, without its namespace; none where it cannot be read."""
+    try:
+        return [f"/{source.topic.strip('/')}" for source in inputs(read_configuration(reader).navigator.aid)]
+    except RecordError:
+        return []
 
 
 def holds(reader: BagReader, topic: str) -> bool:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from riins_bag.bag import BagError, BagReader, BagWriter, message, serialize
-from riins_core.settings import SettingError
+from riins_core.settings import SettingError, as_mapping
 from riins_eval import bag_record, configure, metrics, offline, renavigate
 from riins_eval.lane import size_text
 from riins_eval.renavigate import RAW_TOPICS
-from riins_eval.run_configuration import RecordError
+from riins_eval.run_configuration import RecordError, aid_topics
 from riins_eval.run_record import Track
 from riins_eval.score import score, score_bag, verdict
 from riins_federated.types import Reason, UseCommand
@@ -211,6 +211,25 @@ def rewrite(source, target, change) -> None:
             made = change(one)
             if made is not None:
                 writer.write(one.topic, one.msgtype, *made)
+
+
+def test_aids_by_other_names_are_read_from_their_topics(bag, tmp_path, run):
+    """The same receivers declared under names and topics of their own: the same numbers to the bit; with a frame that is not theirs: none."""
+    topics = {"/gps/fix": "/bow/fix", "/bds/fix": "/aft/position"}
+    with BagReader(bag) as reader, BagWriter(tmp_path / "renamed", flush_period_s=0.0) as writer:
+        known = bag_record.read_configuration(reader).navigator.aid
+        for one in reader.messages((*RAW_TOPICS, "/riins/configuration")):
+            writer.write(topics.get(one.topic, one.topic), one.msgtype, one.data, one.log_ns)
+    bow, stern = (as_mapping(known[name]) for name in ("gps", "bds"))
+    declared = {"aids": ["bow", "stern", "doppler"], "bow": bow, "stern": {**stern, "topic": "/aft/position", "frame": "bds_link"}}
+    made = offline.navigate(tmp_path / "renamed", tmp_path / "again", overrides={"navigator": declared}).record
+    assert equal(made.settled, run.record.settled) and set(made.judged) == {"bow", "stern", "doppler"}
+    with BagReader(tmp_path / "again") as reader:
+        assert reader.topics["/aft/position"].number == 30 and aid_topics(reader) == ["/bow/fix", "/aft/position", "/doppler/velocity"]
+        assert list(bag_record.read_configuration(reader).navigator.aid) == ["bow", "stern", "doppler"]
+    wrong = {**declared, "stern": {**declared["stern"], "frame": "other_link"}}
+    refused = offline.navigate(tmp_path / "renamed", overrides={"navigator": wrong}).record
+    assert "stern" not in refused.judged and (refused.samples.rejected, refused.samples.no_fix) == (28, 2)
 
 
 def test_order_of_arrival_does_not_matter(bag, tmp_path, run):
