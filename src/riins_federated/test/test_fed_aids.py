@@ -191,6 +191,23 @@ def test_an_odometer_says_that_the_axle_moves_neither_sideways_nor_down() -> Non
         assert slope == pytest.approx(found.H[:, i], abs=1e-3)
 
 
+def test_a_vehicle_that_stands() -> None:
+    model, states = declared("zero_velocity", {"lever_arm_m": LEVER, "lever_sigma_m": 0.5})
+    truth, nav, parameters = scene(model, states, 6)
+    nav[3:6] = -truth.pose.C_nb @ np.cross(truth.pose.rate_b, np.array(LEVER) + truth.at("lever", 3))  # it turns about the point that stands
+    truth = truth._replace(pose=pose(nav, truth.pose.rate_b, truth.pose.a_n))
+    aid = Aid("aid", 0, np.zeros(3), np.zeros((3, 3)))
+    found = model.measurement(aid, truth.pose, parameters)
+    assert np.abs(found.z).max() < 1e-12 and np.diag(found.R) == pytest.approx(0.02**2)
+    for i in (*range(3, 9), *range(15, states.n)):
+        x = np.zeros(states.n)
+        x[i] = 1e-6
+        wrong, estimates = nav.copy(), parameters.copy()
+        states.correct(wrong, estimates, -x)
+        slope = model.measurement(aid, pose(wrong, truth.pose.rate_b, truth.pose.a_n), estimates).z / 1e-6
+        assert slope == pytest.approx(found.H[:, i], abs=1e-4)
+
+
 def test_the_known_height_with_a_tide() -> None:
     model = HeightModel(HeightAid(mean_m=12.0, bias_m=1.0))
     states = StateModel(InertialModel(), (), model.blocks())
@@ -220,6 +237,8 @@ def test_the_known_height_with_a_tide() -> None:
         ("beam_velocity", [1.0, np.nan, 1.0, 1.0], np.diag([1.0, np.nan, 1.0, 1.0]), Reason.NONE),
         ("odometer", [np.nan], np.zeros((3, 3)), Reason.NOT_FINITE),
         ("odometer", [1.0], np.diag([-1.0, 1.0, 1.0]), Reason.COVARIANCE),
+        ("zero_velocity", [0.0, 0.0, 0.0], np.zeros((3, 3)), Reason.NONE),
+        ("zero_velocity", [0.0, 0.1, 0.0], np.zeros((3, 3)), Reason.NOT_FINITE),  # it does not stand
         ("height", [1.0], np.zeros((1, 1)), Reason.NONE),
         ("height", [1.0], -np.ones((1, 1)), Reason.COVARIANCE),
         ("heading", [np.nan], np.zeros((1, 1)), Reason.NOT_FINITE),
