@@ -1,6 +1,6 @@
 """One alignment from its beginning to its end, second by second of measurement time.
 
-Lives here: `Aligner`: which method when, what is tried, when it is good enough to hand over, when it has failed and why.
+Lives here: `Aligner`, `warm_up`, `heading_limit`: which method when, what is tried, when it is good enough to hand over, when it has failed and why.
 Does not live here: the methods (alignment_methods.py), commands and the navigator's side of it (alignment_desk.py).
 """
 
@@ -12,6 +12,8 @@ import numpy as np
 
 from riins_core.alignment.inertial_frame import body_integrals
 from riins_core.alignment.result import AlignmentError, TooSoon, check_latitude
+from riins_core.alignment.stationary import ImuNoise, align_stationary
+from riins_core.alignment.stored import Aids, Start, prior, run_stored
 from riins_core.earth import earth_rate_n, gravity
 from riins_core.rotation import euler_from_dcm, exp_so3
 from riins_core.sensor_errors import MICRO_G
@@ -38,6 +40,16 @@ LEVEL_S = 10.0
 def heading_limit(config: NavigatorConfig, lat: float) -> float:
     """Error bound of the heading, 95 %, that A.821 asks for at a latitude [rad], rad: `validity.heading_deg` times sec(latitude)."""
     return math.radians(config.validity.heading_deg) / max(math.cos(lat), 1e-6)
+
+
+def warm_up() -> None:
+    """Compile the kernels of the methods on seconds of nothing, so that the first attempt does not hold up the samples."""
+    rate, force = np.tile(earth_rate_n(0.7), (200, 1)), np.tile([0.0, 0.0, -float(gravity(0.7, 0.0))], (200, 1))
+    imu = ImuNoise(1e-5, 1e-3, 1e-6, 1e-3)
+    align_stationary(rate, force, 0.1, 0.7, imu, check=False)
+    still = Aids("place", np.array([100, 200]), np.zeros((2, 3)), np.ones(3))
+    run_stored(rate, force, 0.1, Start(0.7, 0.1, 0.0, np.zeros(3), np.eye(3), prior(1.0, 1.0, 0.1, 0.1, imu)), imu, still)
+    body_integrals(rate, force, 0.1, 1)
 
 
 class Aligner:

@@ -7,6 +7,7 @@ Does not live here: an alignment itself (aligner.py), what the navigator does wi
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
@@ -18,7 +19,7 @@ from .config import NavigatorConfig
 from .timeline import NEVER_NS, Timed
 from .types import Aid, Array, Mode, Recall, UseCommand
 
-MASTERS_KEPT = 100
+MASTERS_KEPT = 10_000
 """Newest states of a master, for an alignment that is not known yet."""
 
 
@@ -40,7 +41,7 @@ class AlignmentDesk:
         self._waiting: list[Aligner | AlignCommand] = []  # in order of stamp; a command is one to give up
         self._automatic = config.alignment.method != "none"
         self._failed = False
-        self._masters: list[MasterState] = []
+        self._masters: deque[MasterState] = deque(maxlen=MASTERS_KEPT)
         self.reports: list[AlignmentReport] = []
 
     @property
@@ -100,7 +101,7 @@ class AlignmentDesk:
     def add(self, item: Aid | UseCommand | Recall | MasterState) -> None:
         """An item that the navigator has taken, or a state of the master."""
         if isinstance(item, MasterState):
-            self._masters = [*self._masters[-MASTERS_KEPT:], item]
+            self._masters.append(item)
         for aligner in self._aligners():
             feed(aligner, item)
 

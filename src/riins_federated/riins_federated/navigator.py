@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .aligner import warm_up as warm_up_alignment
 from .alignment_settings import AlignCommand, AlignmentReport, MasterState
 from .config import NavigatorConfig
 from .ordered_run import RANK_COMMAND, RANK_INITIAL, OrderedRun
@@ -218,6 +219,7 @@ class Navigator(OrderedRun):
     @staticmethod
     def warm_up() -> None:
         """Compile the kernels on a made-up second of motion, so that the first real sample does not wait."""
+        warm_up_alignment()
         navigator = Navigator(NavigatorConfig())
         zero, sigma = np.zeros(3), np.ones(3)
         navigator.set_initial_state(InitialState(0, 0.7, 0.1, 0.0, zero, zero, sigma, sigma, 0.01 * sigma))

@@ -122,8 +122,10 @@ class OrderedRun:
     def _advance(self) -> None:
         """Work everything up to the newest sample."""
         self._align()
-        if not self._filter.running and not self._begin():
-            return
+        if not self._filter.running:
+            if not self._begin():
+                return
+            self._align()  # what was commanded goes on beside it
         imu, queue = self._imu, self._queue
         k = self._sample - self._dropped_samples
         while k < len(imu):

@@ -155,7 +155,7 @@ def check_still(rate: Array, force: Array, dt: float, lat: float, arw: float, vr
     limit_a, limit_g = gate * math.hypot(sigma_a, vrw / math.sqrt(time)), gate * math.hypot(sigma_g, arw / math.sqrt(time))
     g = float(gravity(lat, 0.0))
     if abs(float(np.linalg.norm(f)) - g) > limit_a + 1e-3:  # gravity anomalies and the height above the ellipsoid
-        raise AlignmentError(f"the mean force is {np.linalg.norm(f):.5f} m/s^2 where gravity is {g:.5f}: moving, or a wrong sensor")
+        raise AlignmentError(f"the mean force is {np.linalg.norm(f):.5f} m/s^2 where gravity is {g:.5f}: moving, wrong latitude, or a wrong sensor")
     if abs(float(np.linalg.norm(w)) - OMEGA_IE) > limit_g:
         raise AlignmentError(f"the mean rate is {np.linalg.norm(w) / OMEGA_IE:.3g} times the Earth rate: moving, or a wrong sensor")
     down = -f / np.linalg.norm(f)
