@@ -1,7 +1,7 @@
-"""Kernels of the error filter for any assembled state: transition and process noise over an interval, covariance propagation.
+"""Kernels of the error filter for any assembled state: transition and process noise over an interval.
 
-Lives here: `gather`, `transition`, `propagate`.
-Does not live here: which states there are (state_blocks.py), measurement models (aids), the master and its structures (master.py).
+Lives here: `gather`, `transition`.
+Does not live here: which states there are (state_blocks.py), measurement models (aids), the time update of the filters (stacked.py).
 """
 
 from __future__ import annotations
@@ -90,41 +90,3 @@ def transition(nav: Array, sums: Array, swing: Array, density: Array, decay: Arr
                 total = Phi[i, j] * density[j] * Phi[j, j]
             Qd[i, j] = 0.5 * T * total
             Qd[j, i] = Qd[i, j]
-
-
-@jit
-def propagate(x: Array, P: Array, Phi: Array, Qd: Array, scale: float) -> None:
-    """x <- Phi x, P <- Phi P Phi' + scale Qd, in place; rows beyond N_COUPLED of Phi are diagonal.
-
-    Parameters
-    ----------
-    x, P : (n,), (n, n)
-    Phi, Qd : (n, n), from `transition`
-    scale : 1, or 1/beta of a local filter that carries a share of the process noise
-    """
-    n = x.shape[0]
-    y = np.zeros(N_COUPLED)
-    W = np.zeros((N_COUPLED, n))  # Phi P
-    for i in range(N_COUPLED):
-        for k in range(n):
-            f = Phi[i, k]
-            if f != 0.0:
-                y[i] += f * x[k]
-                for j in range(n):
-                    W[i, j] += f * P[k, j]
-    for i in range(N_COUPLED):
-        x[i] = y[i]
-        for j in range(i, n):
-            if j < N_COUPLED:
-                total = 0.0
-                for k in range(n):
-                    total += W[i, k] * Phi[j, k]
-            else:
-                total = W[i, j] * Phi[j, j]
-            P[i, j] = total + scale * Qd[i, j]
-            P[j, i] = P[i, j]
-    for i in range(N_COUPLED, n):
-        x[i] = Phi[i, i] * x[i]
-        for j in range(i, n):
-            P[i, j] = Phi[i, i] * P[i, j] * Phi[j, j] + scale * Qd[i, j]
-            P[j, i] = P[i, j]

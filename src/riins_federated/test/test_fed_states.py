@@ -10,7 +10,7 @@ from riins_core.ins_error import BA, BG, N_STATES, PHI, VEL, error_dynamics
 from riins_core.kalman import van_loan
 from riins_core.rotation import dcm_from_euler
 from riins_core.settings import SettingError
-from riins_federated.error_filter import propagate, transition
+from riins_federated.error_filter import transition
 from riins_federated.inertial_model import InertialModel
 from riins_federated.navigator import Navigator
 from riins_federated.state_blocks import Block, StateModel
@@ -62,19 +62,6 @@ def test_transition_is_the_matrix_exponential_to_second_order(names: tuple[str, 
         assert np.diag(Qd)[markov] == pytest.approx(np.diag(noise)[markov], rel=1e-9)
         assert np.array_equal(Qd, Qd.T) and np.linalg.eigvalsh(Qd / np.outer(size, size)).min() > -1e-15
     assert apart[0] < 1e-4 and apart[1] < 0.2 * apart[0]  # third order in T: an eighth
-
-
-def test_propagate_is_phi_p_phi_plus_q() -> None:
-    rng = np.random.default_rng(0)
-    states = StateModel(InertialModel(), ALL, [Block("a", ("a [m]", "b [m]"), 1.0, 30.0)])
-    Phi, Qd = interval(states, 1.0)
-    root = rng.normal(size=(states.n, states.n))
-    x, P = rng.normal(size=states.n), root @ root.T
-    want_x, want_P = Phi @ x, Phi @ P @ Phi.T + 2.0 * Qd
-    propagate(x, P, Phi, Qd, 2.0)
-    assert x == pytest.approx(want_x, rel=1e-12, abs=1e-12)
-    assert np.abs(P - want_P).max() < 1e-12 * np.abs(want_P).max()
-    assert np.array_equal(P, P.T)
 
 
 def test_the_24_states_of_002_and_names_that_are_none() -> None:
