@@ -128,7 +128,7 @@ def opt(z: Array, W: Array, R: Array, P: Array, Q: Array, V: Array, RV: Array) -
 
 def aopt(z: Array, W: Array, R: Array, P: Array, Q: Array, V: Array, RV: Array, settings: Any) -> tuple[Array, Array]:
     """The same with Sage and Husa's process noise and a fading factor."""
-    d, P, q, V0 = np.zeros(len(Q)), P.copy(), np.diag(Q).copy(), 0.0
+    d, P, kept, q, V0 = np.zeros(len(Q)), P.copy(), P.copy(), np.diag(Q).copy(), 0.0
     b, noise = settings.forgetting, np.trace(RV)
     x, covariance = np.empty((len(z), 3)), np.empty((len(z), 3, 3))
     for k, row in enumerate(z):
@@ -140,9 +140,12 @@ def aopt(z: Array, W: Array, R: Array, P: Array, Q: Array, V: Array, RV: Array, 
         if seen > 0.0 and V0 - settings.softening * noise > seen:
             P = P + ((V0 - settings.softening * noise) / seen - 1.0) * (V @ P).T @ np.linalg.solve(M, V @ P)
         d, P = _kalman(d, P + np.diag(q), p, V, RV)
+        K = P @ V.T @ np.linalg.inv(RV)
+        A = np.eye(len(Q)) - K @ V
+        kept = A @ (kept + Q) @ A.T + K @ RV @ K.T
         weight = (1.0 - b) / (1.0 - b ** (k + 1.0))
         q = np.maximum(0.0, (1.0 - weight) * q + weight * ((d - before) ** 2 + np.diag(P) - old))
-        x[k], covariance[k] = W @ (row - d), W @ (R + P) @ W.T
+        x[k], covariance[k] = W @ (row - d), W @ (R + kept) @ W.T
     return x, covariance
 
 

@@ -20,7 +20,7 @@ from riins_imu_fusion.glr_kf_state import (
 
 # isort: on
 from riins_imu_fusion.optimal import optimal_step
-from riins_imu_fusion.state import COMPENSATION, ESTIMATE, FEEDBACK, FORGETTING, MEMORY, QUIET, SOFTENING, STEP, TOTAL, DriftState, F
+from riins_imu_fusion.state import COMPENSATION, ESTIMATE, FEEDBACK, FORGETTING, MEMORY, QUIET, SOFTENING, STEP, TOTAL, WALK, DriftState, F
 
 WLS, GLR_KF, OPT, AOPT, OPTDC, RFDC, IRFDC = 0, 1, 2, 3, 4, 5, 6
 FUSION = {"wls": WLS, "glr_kf": GLR_KF, "opt": OPT, "aopt": AOPT, "optdc": OPTDC, "rfdc": RFDC, "irfdc": IRFDC}
@@ -52,17 +52,21 @@ def follow(
     """
     n = z.shape[1]
     d, Q, D, total, P = st.vec[kind, ESTIMATE], st.vec[kind, STEP], st.vec[kind, COMPENSATION], st.vec[kind, TOTAL], st.P[kind]
+    said = st.kept[kind] if fusion == AOPT else P
     left = np.empty(n)
     for i in range(n):
         left[i] = z[kind, i] - D[i]
     if alarm != QUIET or dof < 1:  # not even the sensors in use agree: nothing to learn
         for i in range(n):
             P[i, i] += Q[i]
+            st.kept[kind, i, i] += st.vec[kind, WALK, i]
     else:
         p, dz, S, e, RV = np.empty(dof), np.empty(dof), np.empty((dof, dof)), np.empty(dof), np.eye(dof)
         if fusion == AOPT:
             b, beta, rho = numbers[FORGETTING], numbers[SOFTENING], numbers[MEMORY]
-            adaptive_step(d, P, Q, st.past[kind], b, beta, rho, V[:dof], RV, left, p, dz, S, e, np.empty(n), np.empty(n))
+            adaptive_step(
+                d, P, Q, st.past[kind], st.vec[kind, WALK], said, b, beta, rho, V[:dof], RV, left, p, dz, S, e, np.empty(n), np.empty(n)
+            )  # fmt: skip
         else:
             optimal_step(d, P, Q, V[:dof], RV, left, p, dz, S, e)
     for i in range(n):
@@ -74,7 +78,7 @@ def follow(
         for j in range(n):
             for a in range(3):
                 for b in range(3):
-                    excess[a, b] += W[a, i] * P[i, j] * W[b, j]
+                    excess[a, b] += W[a, i] * said[i, j] * W[b, j]
 
 
 @inner

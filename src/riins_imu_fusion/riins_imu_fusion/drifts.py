@@ -36,18 +36,19 @@ class Drifts:
         """Memory before the first sample."""
         state = K.DriftState.of(self._models[0].array.n)
         for kind, model in enumerate(self._models):
-            state.vec[kind, K.STEP] = model.Q
-            state.P[kind] = np.diag(model.P)
+            state.vec[kind, (K.STEP, K.WALK)] = model.Q
+            state.P[kind] = state.kept[kind] = np.diag(model.P)
         return state
 
     def begin(self, state: K.DriftState, kind: int, index: int) -> None:
         """A sensor comes back into use: what was known of its drift is forgotten."""
         model = self._models[kind]
         state.vec[kind, :, index] = 0.0
-        state.vec[kind, K.STEP, index] = model.Q[index]
-        state.P[kind, index, :] = 0.0
-        state.P[kind, :, index] = 0.0
-        state.P[kind, index, index] = model.P[index]
+        state.vec[kind, (K.STEP, K.WALK), index] = model.Q[index]
+        for P in (state.P[kind], state.kept[kind]):
+            P[index, :] = 0.0
+            P[:, index] = 0.0
+            P[index, index] = model.P[index]
 
 
 def removed(kind: int, fusion: int, state: K.State) -> NDArray[np.float64]:

@@ -36,7 +36,7 @@ OPEN, FILLED, NEWEST = 0, 1, 2
 # what is missing, State.need[1]
 TABLE, TEST, SEQUENCES = 0, 1, 2
 # rows of DriftState.vec
-ESTIMATE, STEP, COMPENSATION, TOTAL = 0, 1, 2, 3
+ESTIMATE, STEP, COMPENSATION, TOTAL, WALK = 0, 1, 2, 3, 4
 # elements of Rules.drift
 FORGETTING, SOFTENING, MEMORY, FEEDBACK = 0, 1, 2, 3
 # elements of State.counts
@@ -133,15 +133,16 @@ class Past(NamedTuple):
 class DriftState(NamedTuple):
     """Memory of opt, aopt and optdc, and what rfdc and irfdc say of the sample at hand, leading axis 2."""
 
-    vec: F  # (2, 4, n), drift left in the readings, variance of its step, part taken out of them, sum of that part's absolute steps
+    vec: F  # (2, 5, n), drift left in the readings, variance of its step, part taken out of them, sum of that part's absolute steps, step as stated
     P: F  # (2, n, n), covariance of the drift
+    kept: F  # (2, n, n), as it is said: aopt
     past: F  # (2, 2), trace of the innovation covariance, samples so far: aopt
     spread: F  # (2, 3, 3), covariance of the fused sample from what is left of the drifts: rfdc, irfdc
 
     @classmethod
     def of(cls, n: int) -> DriftState:
         """Zeros for n sensors."""
-        return cls(np.zeros((2, 4, n)), np.zeros((2, n, n)), np.zeros((2, 2)), np.zeros((2, 3, 3)))
+        return cls(np.zeros((2, 5, n)), np.zeros((2, n, n)), np.zeros((2, n, n)), np.zeros((2, 2)), np.zeros((2, 3, 3)))
 
 
 class NoiseState(NamedTuple):

@@ -167,7 +167,7 @@ def test_a_fusion_method_in_the_loop_is_the_object(name: str) -> None:
     assert error < (0.98 if name == "aopt" else 0.25) * other
 
 
-@pytest.mark.parametrize("name", ["opt", "optdc"])
+@pytest.mark.parametrize("name", ["opt", "aopt", "optdc"])
 def test_the_fused_covariance_of_optimal_fusion_is_honest(name: str) -> None:
     """NEES of the fused rate where the drifts are as the settings say: three, at any time of the run."""
     s = FusionConfig().gyro_sigma[0]
