@@ -17,6 +17,8 @@ import numpy as np
 from riins_core.frames import ned_difference
 
 MODES = ("waiting", "alignment", "navigating", "coasting", "failed")
+RUNNING = (2, 3)
+"""Modes of a newest state; while aligning it is the settled one."""
 VALIDITIES = ("valid", "doubtful", "invalid")
 _REMEMBERED = 2048
 _RATE_WINDOW = 5_000_000_000
@@ -142,7 +144,7 @@ class Monitor:
                 self.start_at_ns = row.stamp_ns
             if self._nav is not None and row.sequence > self._nav.sequence:
                 self._nav_lost += row.sequence - self._nav.sequence - 1
-            if self._wall:
+            if self._wall and row.mode in RUNNING:
                 self._latency.append((arrival_ns - row.stamp_ns) * 1e-6)
             self._nav_count += 1
             self._nav, self._last_arrival = row, arrival_ns
@@ -181,7 +183,7 @@ class Monitor:
 
     def _compare(self, stamp_ns: int) -> None:
         nav, truth = self._nav_by_stamp.get(stamp_ns), self._truth_by_stamp.get(stamp_ns)
-        if nav is None or truth is None or nav.mode == 0:
+        if nav is None or truth is None or nav.mode not in RUNNING:
             return
         d = ned_difference(nav.latitude, nav.longitude, nav.height, truth.latitude, truth.longitude, truth.height)
         position = math.hypot(d[0], d[1])

@@ -193,7 +193,7 @@ def test_what_an_isolated_gyro_put_in_is_taken_out() -> None:
 
 def given(s: Ship, stamp_ns: int = START) -> InitialState:
     truth = s.truth(stamp_ns)
-    rph = np.array([float(a[0]) for a in euler_from_dcm(truth.C_nb)]) + [1e-4, 0.0, 2e-3]
+    rph = np.add([float(a[0]) for a in euler_from_dcm(truth.C_nb)], [1e-4, 0.0, 2e-3])
     five = np.full(3, 5.0)
     return InitialState(stamp_ns, float(truth.lat[0]), float(truth.lon[0]), 5.0, truth.v_n[0], rph, five, 0.1 + 0 * five, 3e-3 + 0 * five)
 
