@@ -272,6 +272,11 @@ def _positive(R: Array) -> bool:
     return cholesky_into(R, np.zeros_like(R))
 
 
+def skew(v: Array) -> Array:
+    """Matrix [v x] of one vector (3,), as riins_core.rotation.skew but without its generality, which costs more than the rest of a measurement."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
 def cross(a: Array, b: Array) -> Array:
     """Vector product of two vectors (3,); numpy's own takes ten times as long for so few numbers."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

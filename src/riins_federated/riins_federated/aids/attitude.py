@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from riins_core.ins_error import PHI
-from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3, skew
+from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3
 from riins_core.settings import setting
 from riins_node.readings import read_attitude
 
-from ..aiding import AidModel, AidSettings, Input, Measurement, Pose, noise, reported_covariance_ok
+from ..aiding import AidModel, AidSettings, Input, Measurement, Pose, noise, reported_covariance_ok, skew
 from ..state_blocks import Block
 from ..types import Aid, Array
 

@@ -13,14 +13,15 @@ from typing import TypeVar
 import numpy as np
 
 from riins_core.ins_error import PHI, VEL
-from riins_core.rotation import skew
 from riins_core.sensor_errors import PPM
 from riins_core.settings import setting
 from riins_node.readings import read_doppler, read_dvl_bottom
 
-from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, cross, noise, white_inflation
+from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, cross, noise, skew, white_inflation
 from ..state_blocks import Block
 from ..types import Aid, Array
+
+ONE = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -60,26 +61,26 @@ class Mounted:
     v : (3,), m/s
     turn : (3, 3), from NED into the axes of the sensor
     relative_n : (3,), velocity that the sensor sees of the vehicle, NED
-    by_yaw, by_pitch : (3,), derivatives by the mounting angles
-    by_lever : (3, 3)
+    by_yaw, by_pitch : (3,), derivatives by the mounting angles; by_lever : (3, 3); None where that is no state
     """
 
     v: Array
     turn: Array
     relative_n: Array
-    by_yaw: Array
-    by_pitch: Array
-    by_lever: Array
+    by_yaw: Array | None
+    by_pitch: Array | None
+    by_lever: Array | None
 
     def fill(self, H: Array, at: dict[str, slice], by: Array) -> None:
         """Columns of velocity, attitude, mounting and lever arm of H (m, n) for a prediction whose derivative by `v` is by (m, 3)."""
-        H[:, VEL] = -by @ self.turn
-        H[:, PHI] = by @ self.turn @ skew(self.relative_n)
-        if "yaw" in at:
+        turned = by @ self.turn
+        H[:, VEL] = -turned
+        H[:, PHI] = turned @ skew(self.relative_n)
+        if self.by_yaw is not None:
             H[:, at["yaw"].start] = -by @ self.by_yaw
-        if "pitch" in at:
+        if self.by_pitch is not None:
             H[:, at["pitch"].start] = -by @ self.by_pitch
-        if "lever" in at:
+        if self.by_lever is not None:
             H[:, at["lever"]] = -by @ self.by_lever
 
 
@@ -104,21 +105,30 @@ class MountedModel(AidModel[T]):
         yaw, pitch = math.radians(s.mounting_yaw_deg) + self.number(parameters, "yaw"), self.number(parameters, "pitch")
         pitch += math.radians(s.mounting_pitch_deg)
         c, k = math.cos(yaw), math.sin(yaw)
-        M = np.array([[c, k, 0.0], [-k, c, 0.0], [0.0, 0.0, 1.0]])
-        by_yaw = np.array([[-k, c, 0.0], [-c, -k, 0.0], [0.0, 0.0, 0.0]])
-        by_pitch = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-        if pitch != 0.0:
-            c, k = math.cos(pitch), math.sin(pitch)
-            up = np.array([[c, 0.0, -k], [0.0, 1.0, 0.0], [k, 0.0, c]])
-            by_pitch = np.array([[-k, 0.0, -c], [0.0, 0.0, 0.0], [c, 0.0, -k]]) @ M
-            M, by_yaw = up @ M, up @ by_yaw
-        else:
-            by_pitch = by_pitch @ M
+        level = np.array([[c, k, 0.0], [-k, c, 0.0], [0.0, 0.0, 1.0]])
+        up = _pitched(pitch)
+        M = level if up is None else up @ level
         relative_n = pose.v_n if water_n is None else pose.v_n - water_n
         arm = self.lever + self.value(parameters, "lever") if lever is None else lever
-        v_b = pose.C_nb.T @ relative_n + cross(pose.rate_b, arm)
-        by_lever = M @ skew(pose.rate_b) if lever is None and "lever" in self.at else np.zeros((3, 3))
-        return Mounted(M @ v_b, M @ pose.C_nb.T, relative_n, by_yaw @ v_b, by_pitch @ v_b, by_lever)
+        v_level = level @ (pose.C_nb.T @ relative_n + cross(pose.rate_b, arm))
+        by_yaw = by_pitch = by_lever = None
+        if "yaw" in self.at:
+            by_yaw = np.array([v_level[1], -v_level[0], 0.0])
+            by_yaw = by_yaw if up is None else up @ by_yaw
+        if "pitch" in self.at:
+            c, k = math.cos(pitch), math.sin(pitch)
+            by_pitch = np.array([-k * v_level[0] - c * v_level[2], 0.0, c * v_level[0] - k * v_level[2]])
+        if lever is None and "lever" in self.at:
+            by_lever = M @ skew(pose.rate_b)
+        return Mounted(v_level if up is None else up @ v_level, M @ pose.C_nb.T, relative_n, by_yaw, by_pitch, by_lever)
+
+
+def _pitched(pitch: float) -> Array | None:
+    """From level axes into those of a sensor whose bow is up by `pitch`; None: they are the same."""
+    if pitch == 0.0:
+        return None
+    c, k = math.cos(pitch), math.sin(pitch)
+    return np.array([[c, 0.0, -k], [0.0, 1.0, 0.0], [k, 0.0, c]])
 
 
 U = TypeVar("U", bound=BodyVelocitySettings)
@@ -153,12 +163,14 @@ class VectorModel(MountedModel[U]):
         seen = self.mounted(pose, parameters, self.water(parameters))
         gain = np.ones(n) + self.value(parameters, "scale")
         H = np.zeros((n, self.n))
-        seen.fill(H, self.at, np.diag(gain) @ np.eye(n, 3))
+        seen.fill(H, self.at, gain[:, None] * ONE[:n])
         if "scale" in self.at:
             H[:, self.at["scale"]] = -np.diag(seen.v[:n]) if self.settings.scale_each_axis else -seen.v[:n, None]
         if "markov" in self.at:
             H[:, self.at["markov"]] = -np.eye(n)
-        z = aid.z[:n] - gain * seen.v[:n] - self.value(parameters, "markov")
+        z = aid.z[:n] - gain * seen.v[:n]
+        if "markov" in self.at:
+            z -= self.value(parameters, "markov")
         return Measurement(z, H, (noise(aid.R, self.sigma, self.settings.sigma_floor_mps) + self.extra)[:n, :n])
 
 

@@ -6,19 +6,21 @@ Does not live here: velocity of a receiver (gnss_velocity.py).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from riins_core.earth import radii_s
 from riins_core.ins_error import PHI, POS
-from riins_core.rotation import skew
 from riins_core.settings import setting
 from riins_node.readings import read_position_aid
 
-from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, noise, white_inflation
+from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, noise, skew, white_inflation
 from ..state_blocks import Block
 from ..types import Aid, Array
+
+MINUS_ONE = -np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,13 @@ class GnssPosition(AidModel[GnssPositionSettings]):
         lever_n = pose.C_nb @ (self.lever + self.value(parameters, "lever"))
         r_m, r_n = radii_s(pose.lat)
         d_lon = (aid.z[1] - pose.lon + np.pi) % (2.0 * np.pi) - np.pi  # across the date line
-        difference = np.array([(aid.z[0] - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * np.cos(pose.lat), pose.h - aid.z[2]])
-        z = (difference - lever_n)[:n] - self.value(parameters, "markov")
-        H = np.zeros((3, self.n))
-        H[:, POS] = -np.eye(3)
-        H[:, PHI] = -skew(lever_n)
-        H = H[:n]
+        difference = np.array([(aid.z[0] - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * math.cos(pose.lat), pose.h - aid.z[2]])
+        z = (difference - lever_n)[:n]
+        if "markov" in self.at:
+            z -= self.value(parameters, "markov")
+        H = np.zeros((n, self.n))
+        H[:, POS] = MINUS_ONE[:n]
+        H[:, PHI] = -skew(lever_n)[:n]
         if "lever" in self.at:
             H[:, self.at["lever"]] = -pose.C_nb[:n]
         if "markov" in self.at:

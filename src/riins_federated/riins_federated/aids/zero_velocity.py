@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from riins_core.ins_error import PHI, VEL
-from riins_core.rotation import skew
 from riins_core.settings import setting
 from riins_node.readings import read_doppler
 
-from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, cross, noise
+from ..aiding import AidModel, Input, LeverSettings, Measurement, Pose, cross, noise, skew
 from ..types import Aid, Array
 
 
