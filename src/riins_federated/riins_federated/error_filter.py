@@ -1,6 +1,6 @@
 """Kernels of the error filter for any assembled state: transition and process noise over an interval.
 
-Lives here: `gather`, `transition`.
+Lives here: `gather`, `between`, `transition`.
 Does not live here: which states there are (state_blocks.py), measurement models (aids), the time update of the filters (stacked.py).
 """
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from riins_core.ins_error import N_STATES, fill_dynamics
 from riins_core.jit import jit
+from riins_core.rotation import exp_so3_into
 
 from .types import Array
 
@@ -28,6 +29,25 @@ def gather(swing: Array, rate: Array, force: Array, dt: Array) -> None:
         for axis in range(3):
             swing[axis] += rate[k, axis] * dt[k]
             swing[3 + axis] += force[k, axis] * dt[k]
+
+
+@jit
+def between(nav: Array, before: Array, w: float) -> Array:
+    """Nominal state (16,) at the share w of the way back from a sample to the one before: linear, attitude along the rotation between both."""
+    out = nav + w * (before - nav)
+    turn = np.empty((3, 3))  # C_now' C_before
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = nav[6 + i] * before[6 + j] + nav[9 + i] * before[9 + j] + nav[12 + i] * before[12 + j]
+    x, y, z = 0.5 * (turn[2, 1] - turn[1, 2]), 0.5 * (turn[0, 2] - turn[2, 0]), 0.5 * (turn[1, 0] - turn[0, 1])
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+    scale = w * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
+    exp_so3_into(scale * x, scale * y, scale * z, turn)
+    for i in range(3):
+        for j in range(3):
+            out[6 + 3 * i + j] = nav[6 + 3 * i] * turn[0, j] + nav[7 + 3 * i] * turn[1, j] + nav[8 + 3 * i] * turn[2, j]
+    return out
 
 
 @jit

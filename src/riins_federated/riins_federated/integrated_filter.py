@@ -14,7 +14,7 @@ import numpy as np
 
 from riins_core import ins_error
 from riins_core.ins_error import PHI, VEL, State
-from riins_core.rotation import dcm_from_euler, exp_so3, log_so3
+from riins_core.rotation import dcm_from_euler
 from riins_core.strapdown import strapdown_block
 from riins_fdi.eraim import cross_check
 from riins_fdi.health import Change
@@ -24,7 +24,7 @@ from .aids import make
 from .aids.gnss_position import GnssPosition
 from .assembly import make_structure
 from .config import NavigatorConfig
-from .error_filter import gather, transition
+from .error_filter import between, gather, transition
 from .known_height import HeightModel
 from .local_filter import LocalFilter
 from .sample_noise import SampleNoise
@@ -312,9 +312,7 @@ class IntegratedFilter:
         back = (m.stamp_ns - stamp_ns) * 1e-9
         if back > 0.0 and m.dt > 0.0:
             w = min(back / m.dt, 1.0)
-            nav = nav + w * (m.nav_before - nav)
-            C_now, C_before = m.nav[6:15].reshape(3, 3), m.nav_before[6:15].reshape(3, 3)
-            nav[6:15] = (C_now @ exp_so3(w * log_so3(C_now.T @ C_before))).ravel()
+            nav = between(nav, m.nav_before, w)
             rate = rate + w * (m.rate[1] - m.rate[0])
         rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
         a_n = (m.nav[3:6] - m.nav_before[3:6]) / m.dt if m.dt > 0.0 else np.zeros(3)

@@ -8,9 +8,9 @@ from fed_voyage import config, run, voyage
 
 from riins_core.ins_error import BA, BG, N_STATES, PHI, VEL, error_dynamics
 from riins_core.kalman import van_loan
-from riins_core.rotation import dcm_from_euler
+from riins_core.rotation import dcm_from_euler, exp_so3
 from riins_core.settings import SettingError
-from riins_federated.error_filter import transition
+from riins_federated.error_filter import between, transition
 from riins_federated.inertial_model import InertialModel
 from riins_federated.navigator import Navigator
 from riins_federated.state_blocks import Block, StateModel
@@ -62,6 +62,16 @@ def test_transition_is_the_matrix_exponential_to_second_order(names: tuple[str, 
         assert np.diag(Qd)[markov] == pytest.approx(np.diag(noise)[markov], rel=1e-9)
         assert np.array_equal(Qd, Qd.T) and np.linalg.eigvalsh(Qd / np.outer(size, size)).min() > -1e-15
     assert apart[0] < 1e-4 and apart[1] < 0.2 * apart[0]  # third order in T: an eighth
+
+
+@pytest.mark.parametrize("w", [0.0, 0.25, 1.0])
+def test_between_two_samples_the_attitude_turns_evenly(w: float) -> None:
+    before = NAV + np.r_[1e-6, -2e-6, 0.3, 0.1, 0.2, -0.3, np.zeros(10)]
+    before[6:15] = (C_NB @ exp_so3(np.array([0.02, -0.03, 0.01]))).ravel()
+    there = between(NAV, before, w)
+    assert there[:6] == pytest.approx(NAV[:6] + w * (before[:6] - NAV[:6]), rel=1e-14)
+    assert there[6:15].reshape(3, 3) == pytest.approx(C_NB @ exp_so3(w * np.array([0.02, -0.03, 0.01])), abs=1e-14)
+    assert between(NAV, NAV, w) == pytest.approx(NAV, abs=1e-15)
 
 
 def test_the_24_states_of_002_and_names_that_are_none() -> None:
