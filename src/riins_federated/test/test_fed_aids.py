@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 from riins_core.frames import ned_offset
 from riins_core.rotation import dcm_from_euler, exp_so3, quat_from_dcm
 from riins_core.settings import SettingError, build
-from riins_federated.aiding import AidModel, Pose, noise
+from riins_federated.aid_inputs import inputs
+from riins_federated.aiding import AidModel, Pose, models_of, noise
 from riins_federated.aids import AID_MODELS, DEFAULT_AIDS, make
 from riins_federated.config import NavigatorConfig
 from riins_federated.inertial_model import InertialModel
+from riins_federated.integrated_filter import IntegratedFilter
 from riins_federated.known_height import HeightAid, HeightModel
 from riins_federated.state_blocks import StateModel
 from riins_federated.types import Aid, Array, Reason
@@ -300,3 +306,37 @@ def test_a_wrong_declaration_is_one_clear_line(values: dict[str, Any], said: str
     with pytest.raises(SettingError, match=said) as caught:
         build(NavigatorConfig, values)
     assert "\n" not in str(caught.value)
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "aids.md"
+
+
+def blocks_of_page(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+
+
+def test_the_ship_of_the_page_can_be_built() -> None:
+    config = build(NavigatorConfig, yaml.safe_load(blocks_of_page("yaml")[0])["/**"]["ros__parameters"])
+    assert [one.topic for one in inputs(config.aid)] == ["bow/fix", "/gnss2/fix", "bow/velocity", "dvl/velocity", "compass/heading"]
+    assert inputs(config.aid)[1].delay_ns == 200_000_000
+    assert IntegratedFilter(config).states.n == 15 + 6 + 2 + 3 + 2 + 1
+
+
+def test_the_new_type_of_the_page_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "beacon_range.py").write_text(blocks_of_page("python")[0])
+    monkeypatch.syspath_prepend(tmp_path)
+    (kind,) = models_of({"beacon_range": importlib.import_module("beacon_range")}).values()
+    model = kind("aid", kind.Settings(lever_arm_m=tuple(LEVER), lever_sigma_m=1.0, offset_m=2.0, latitude_deg=40.0, longitude_deg=120.0))
+    states = StateModel(InertialModel(), (), model.blocks())
+    model.place(states)
+    nav, parameters = np.zeros(16), np.zeros(states.n - 9)
+    nav[0:3], nav[6:15] = (np.radians(40.01), np.radians(120.02), 10.0), dcm_from_euler(0.1, 0.2, 1.0).ravel()
+    aid = Aid("aid", 0, np.array([2000.0]), np.zeros((1, 1)))
+    there = model.measurement(aid, pose(nav, np.zeros(3), np.zeros(3)), parameters)
+    for i in [*range(9), *range(15, states.n)]:
+        x = np.zeros(states.n)
+        x[i] = STEPS[states.labels[i].split("[")[1]]
+        wrong, estimates = nav.copy(), parameters.copy()
+        states.correct(wrong, estimates, -x)
+        slope = (model.measurement(aid, pose(wrong, np.zeros(3), np.zeros(3)), estimates).z - there.z) / x[i]
+        assert slope == pytest.approx(there.H[:, i], abs=1e-2), states.labels[i]
