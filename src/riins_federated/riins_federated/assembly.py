@@ -28,6 +28,8 @@ LAYOUT = Layout(
     navigation=(State.POS_N, State.POS_E, State.VEL_N, State.VEL_E, State.PHI_N, State.PHI_E, State.PHI_D),
     heading=State.PHI_D,
 )
+SATELLITE = "satellite"
+"""What receivers of any satellite system have in common: one spoofer can pull them all."""
 RETENTION = {"fusion_reset": 0.0, "no_reset": 1.0}
 
 
@@ -51,7 +53,8 @@ def make_structure(config: NavigatorConfig, P0: Array, aids: Sequence[Any]) -> S
     x0 = np.zeros(len(P0))
     if config.structure in ("separated", "information"):
         settings = config.separation if config.structure == "separated" else replace(config.separation, left_out=0)
-        return SeparatedMasters(x0, P0, len(aids), settings, layout=LAYOUT, gate=gates, adaptive=adaptive)
+        kinds = [SATELLITE if aid.type.startswith("gnss") else f"{i}" for i, aid in enumerate(aids)]
+        return SeparatedMasters(x0, P0, len(aids), settings, layout=LAYOUT, gate=gates, adaptive=adaptive, kinds=kinds)
     sharing, beta = config.sharing, None
     if sharing.kind == "fixed":
         beta = np.append(sharing.shares, 1.0 - sum(sharing.shares))

@@ -6,6 +6,8 @@ Does not live here: the tests (riins_fdi.eraim), what structures share (structur
 
 from __future__ import annotations
 
+import copy
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,6 +17,7 @@ from riins_fdi.eraim import largest_horizontal, protection_levels, quantiles, se
 from riins_fdi.innovation import nis_threshold
 
 from .aiding import Measurement
+from .inertial_evidence import InertialEvidence
 from .stacked import Estimate, Rows
 from .structure_settings import SolutionSeparation
 from .structures import Gate, Layout, Replaced, Structure, Verdict, Watched, contiguous
@@ -48,6 +51,7 @@ class SeparatedMasters(Structure):
     n_aids : aids
     settings : SolutionSeparation; `left_out` is no more than there are aids
     layout, gate, adaptive : as in `Structure`
+    kinds : of each aid; aids of one kind may fail together, of one cause; none: each is its own
 
     Attributes
     ----------
@@ -68,9 +72,10 @@ class SeparatedMasters(Structure):
 
     def __init__(
         self, x0: Array, P0: Array, n_aids: int, settings: SolutionSeparation = _SETTINGS, *, layout: Layout = _LAYOUT,
-        gate: Gate | Sequence[Gate] = _GATE, adaptive: bool | Sequence[bool] = False,
+        gate: Gate | Sequence[Gate] = _GATE, adaptive: bool | Sequence[bool] = False, kinds: Sequence[str] = (),
     ) -> None:  # fmt: skip
         self.settings = settings
+        self.kinds = tuple(kinds) or tuple(f"{i}" for i in range(n_aids))
         everything = (1 << n_aids) - 1
         sets = (s for s in range(everything + 1) if n_aids - s.bit_count() <= settings.left_out)
         self._sets = sorted(sets, key=lambda s: (-s.bit_count(), s))
@@ -85,6 +90,11 @@ class SeparatedMasters(Structure):
         self._states = np.array(layout.navigation or layout.position)
         self._position = np.array(layout.position)
         self._unseen = quantiles(settings.false_alarm_probability, 0.5, len(self._states))[0]
+        # the IMU's word on each aid: by the master that takes it alone and the one that takes all others
+        few = [r for r, s in enumerate(self._sets) if s.bit_count() in (1, n_aids - 1)]
+        self._few = [np.array([r for r in few if self._sets[r] >> i & 1], np.int64) for i in range(n_aids)]
+        self._alone = [self._row.get(1 << i, -1) for i in range(n_aids)]
+        self._evidence = InertialEvidence(masters, n_aids, settings.evidence_memory)
         self.isolated = [False] * n_aids
         self._watched = [Watched(0.0, 0.0)] * n_aids
         self._good = [0] * n_aids
@@ -104,6 +114,9 @@ class SeparatedMasters(Structure):
     def judge(self, index: int, measurement: Measurement) -> Verdict:
         """As in `Structure`: by the master and by the leave-one-out master of the aid."""
         verdict = super().judge(index, measurement)
+        if len(self._few[index]):
+            used = verdict.measurement
+            self._evidence.learn(index, self._few[index], self._stack.judge(self._few[index], used.z, used.H, used.R).standardized)
         again = self._failed[index] + 1 if not verdict.alarm else max(self._failed[index] + 1, self.settings.confirm_after)
         self._failed[index] = 0 if verdict.passed else again
         return verdict
@@ -135,8 +148,8 @@ class SeparatedMasters(Structure):
         self._readmit()
         self._heard = [None] * len(self._heard)
         found = []
-        while (replaced := self._separate()) is not None:
-            found.append(replaced)
+        while replaced := self._separate():
+            found += replaced
         return found
 
     def separated(self, index: int) -> bool:
@@ -160,18 +173,21 @@ class SeparatedMasters(Structure):
         """As in `Structure`."""
         other = super().clone()
         assert isinstance(other, SeparatedMasters)
+        other._evidence = copy.copy(self._evidence)
+        other._evidence.restore(self._evidence.snapshot())
         return other
 
     def snapshot(self) -> tuple[Any, ...]:
         """As in `Structure`."""
         lists = tuple(self.isolated), tuple(self._watched), tuple(self._good), tuple(self._failed)
-        return super().snapshot(), self._scale.copy(), lists
+        return super().snapshot(), self._scale.copy(), self._evidence.snapshot(), lists
 
     def restore(self, snapshot: tuple[Any, ...]) -> None:
         """As in `Structure`."""
-        common, scale, lists = snapshot
+        common, scale, evidence, lists = snapshot
         super().restore(common)
         self._scale = scale.copy()
+        self._evidence.restore(evidence)
         self.isolated, self._watched, self._good, self._failed = (list(part) for part in lists)
         self._heard = [None] * len(self.isolated)
 
@@ -195,24 +211,49 @@ class SeparatedMasters(Structure):
         separations_into(self._stack.X, self._stack.P, rows, states, statistic, dof)
         return {i: _Apart(*one) for i, one in zip(using, zip(statistic.tolist(), dof.tolist(), strict=True), strict=True)}
 
-    def _separate(self) -> Replaced | None:
-        """Test every aid in use, and isolate the one to blame."""
+    def _separate(self) -> list[Replaced]:
+        """Test every aid in use, and isolate who is to blame."""
         using = [i for i, isolated in enumerate(self.isolated) if not isolated]
         both = len(self.layout.navigation) > 0
         found = self._apart(using, self._position)
         whole = self._apart(using, self._states) if both else found
         self._watched = [self._nearest(i, found[i], whole[i]) if i in found else Watched(0.0, 0.0) for i in range(len(self.isolated))]
         alarms = [i for i in using if found[i].alarm(self._pfa(i)) or whole[i].alarm(self._pfa(i))]
-        if not alarms:
-            return None
+        if not alarms or len(using) < 2:
+            return []  # the last aid: nothing but its gate can tell
         left = {i: -np.inf if self._failing(i) else self._left(i, using) for i in using}
         blamed = min(using, key=lambda i: (left[i], -whole[i].statistic))
         doubt = self.settings.left_out > 1 and any(left[i] < left[blamed] + self.settings.margin for i in using if i != blamed)
-        if blamed not in alarms or doubt or not self._bearable(blamed):
-            return None  # a fault parts other aids' solutions too: wait until it is plain whose it is
-        before, (statistic, threshold) = self.x.copy(), self._watched[blamed]
-        self._isolate(blamed)
-        return Replaced(blamed, statistic, threshold, self.x - before)
+        if blamed not in alarms or doubt:
+            return []  # a fault parts other aids' solutions too: wait until it is plain whose it is
+        bad = self._liars(blamed, [i for i in using if i != blamed])
+        if not bad or not self._bearable(bad):
+            return []
+        made = []
+        for index in bad:
+            before, (statistic, threshold) = self.x.copy(), self._watched[index]
+            self._isolate(index)
+            made.append(Replaced(index, statistic, threshold, self.x - before))
+        return made
+
+    def _liars(self, blamed: int, rest: Sequence[int]) -> list[int]:
+        """Whom to isolate when the vote is against one aid; nobody where the others may have one cause and nothing tells the two apart.
+
+        One spoofer pulls every satellite receiver: their agreement is one voice, not a majority. The IMU decides, or that one of the kind has been
+        found faulty before.
+        """
+        pfa = self.settings.evidence_false_alarm_probability
+        kind, kinds = self.kinds[blamed], {self.kinds[i] for i in rest}
+        if len(kinds) != 1 or kind in kinds:
+            return [blamed]
+        others = self._evidence.ratio(self._without[blamed], rest, pfa) > 1.0
+        alone = self._alone[blamed]
+        if alone >= 0 and self._evidence.ratio(alone, [blamed], pfa) > 1.0:
+            return [blamed]
+        known = {self.kinds[i] for i, isolated in enumerate(self.isolated) if isolated}
+        if others or known & kinds:
+            return list(rest)
+        return [blamed] if kind in known else []
 
     def _nearest(self, index: int, *found: _Apart) -> Watched:
         pfa = self._pfa(index)
@@ -222,10 +263,13 @@ class SeparatedMasters(Structure):
             default=Watched(0.0, 0.0),
         )
 
-    def _bearable(self, index: int) -> bool:
-        """The leave-one-out master still knows where it is: it may take the master's place."""
+    def _bearable(self, aids: Sequence[int]) -> bool:
+        """The master without them still knows where it is: it may take the master's place."""
+        left = functools.reduce(lambda s, i: s & ~(1 << i), aids, self._sets[0])
+        if left not in self._row:
+            return False
         a, b = self.layout.position
-        one, other = (largest_horizontal(P[a, a], P[b, b], P[a, b]) for P in (self.without(index).P, self.P))
+        one, other = (largest_horizontal(P[a, a], P[b, b], P[a, b]) for P in (self._stack[self._row[left]].P, self.P))
         return bool(one <= self.settings.worst**2 * other)
 
     def _failing(self, index: int) -> bool:
@@ -246,6 +290,7 @@ class SeparatedMasters(Structure):
             if s & bit:
                 kept = min((k for k in self._sets if not k & bit and k & s == s & ~bit), key=int.bit_count)
                 self._stack.copy(self._row[kept], row)
+                self._evidence.copy(self._row[kept], row)
         self.isolated[index] = True
         self._good = [0] * len(self._good)
         self._scale[len(self._sets) :] = 0.0  # no candidate goes on: they too may have seen it

@@ -35,6 +35,10 @@ class SolutionSeparation:
     )
     confirm_false_alarm_probability: float = setting(1e-2, "of the test of an aid that its own tests suspect", "", 1e-15, 0.5)
     worst: float = setting(10.0, "an aid is not isolated where the sigma of the position would grow by more than this factor", "", 1.0, 1e6)
+    evidence_memory: float = setting(20.0, "measurements of an aid over which its innovations are averaged for the IMU's word on it", "", 1.0, 1e6)
+    evidence_false_alarm_probability: float = setting(
+        1e-6, "that a mean of good innovations is held to contradict the IMU; decides whether one aid is wrong or all others are", "", 1e-15, 0.5
+    )
     readmit_after: int = setting(30, "measurements in a row that an isolated aid must pass before it is compared", "", 1, 1_000_000)
     readmit_false_alarm_probability: float = setting(0.1, "probability that a good aid fails that comparison and begins again", "", 1e-6, 0.9)
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from riins_federated.adaptive_noise import AdaptiveNoise
 from riins_federated.aiding import Measurement
+from riins_federated.inertial_evidence import InertialEvidence
 from riins_federated.information_sharing import checked_shares, innovation_shares, trace_shares
 from riins_federated.separated_masters import SeparatedMasters
 from riins_federated.structure_settings import SolutionSeparation
@@ -190,3 +191,48 @@ def test_shares() -> None:
     for wrong in ({"retention": 1.5}, {"sharing": "guess"}, {"beta": [0.5, 0.5, 0.5]}):
         with pytest.raises(ValueError):
             FederatedFilter(np.zeros(N), P0, AIDS, **wrong)
+
+
+def test_means_of_white_innovations_are_chi_square_and_a_bias_is_seen() -> None:
+    evidence, rng = InertialEvidence(2, 2, 20.0), np.random.default_rng(5)
+    ratios = []
+    for k in range(40_000):
+        evidence.learn(0, [0, 1], np.stack([noise := rng.standard_normal(2), noise + 1.0]))
+        if k % 200 == 199:
+            ratios.append(evidence.ratio(0, [0], 0.1))
+    # ratio > 1 has the probability asked for: 200 independent looks, four sigmas of the binomial
+    assert abs(np.mean(np.array(ratios) > 1.0) - 0.1) < 4.0 * np.sqrt(0.09 / 200.0)
+    assert evidence.ratio(1, [0], 1e-6) > 1.0 and evidence.ratio(0, [1], 1e-6) == 0.0
+
+
+def pulled(rate: float, begin: int = 200):
+    """Both receivers pulled to the north, from an epoch on."""
+    return lambda k, aid: np.array([rate * PERIOD * max(k - begin, 0), 0.0]) if aid < 2 else np.zeros(2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_receivers_pulled_together_do_not_outvote_the_log(seed: int) -> None:
+    """One voice, not a majority; without that word the vote is against the log, and the position goes where the receivers say."""
+    truth, aids = voyage(seed, 300, pulled(0.5))
+    layout = Layout(navigation=(0, 1, 2, 3))
+    for kinds, wrong in ((("satellite", "satellite", "log"), False), ((), True)):
+        masters = SeparatedMasters(np.zeros(N), P0, AIDS, layout=layout, kinds=kinds)
+        error = np.abs(run(masters, aids) - truth)[:, 0]
+        assert masters.isolated[2] == wrong
+        assert error[-1] > 400.0 if wrong else error.max() < 100.0 and masters.isolated[:2] == [True, True]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_log_that_lies_is_isolated_whatever_the_receivers_are(seed: int) -> None:
+    _, aids = voyage(seed, 260, lambda k, aid: np.array([0.0, 0.35 * (k >= 200)]) if aid == 2 else np.zeros(2))
+    masters = SeparatedMasters(np.zeros(N), P0, AIDS, layout=Layout(navigation=(0, 1, 2, 3)), kinds=("satellite", "satellite", "log"))
+    run(masters, aids)
+    assert masters.isolated == [False, False, True]
+
+
+def test_a_clone_keeps_evidence_of_its_own() -> None:
+    _, aids = voyage(1, 30, pulled(3.0, 5))
+    one = SeparatedMasters(np.zeros(N), P0, AIDS, kinds=("satellite", "satellite", "log"))
+    other, third = one.clone(), one.clone()
+    np.testing.assert_array_equal(run(one, aids), run(other, aids))
+    np.testing.assert_array_equal(third._evidence.snapshot()[0], 0.0)
