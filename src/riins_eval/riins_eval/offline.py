@@ -133,6 +133,7 @@ class _Voyage:
             self.lane.navigator.set_initial_state(_as_received(state))
         if writer is not None:
             writer.configuration(configure.configuration_text(self.scenario, self.start), self.start)
+            writer.method(0, self.pipeline.selected(), self.start)
             if given:
                 writer.initial_state(state)
             writer.faults(self.start, self.faults.faults, self.start, "scenario")

@@ -35,7 +35,7 @@ NAV_STATE, NAV_COVARIANCE, INNOVATION = "riins_msgs/msg/NavState", "riins_msgs/m
 FEDERATED, INERTIAL, FAULTS, INITIAL = (
     "riins_msgs/msg/FederatedStatus", "riins_msgs/msg/InertialFdi", "riins_msgs/msg/FaultArray", "riins_msgs/msg/InitialState",
 )  # fmt: skip
-CALIBRATION = "riins_msgs/msg/InertialCalibration"
+CALIBRATION, METHOD = "riins_msgs/msg/InertialCalibration", "riins_msgs/msg/FusionMethod"
 ALIGNMENT = "riins_msgs/msg/AlignmentStatus"
 REDUNDANT_IMU, FUSED_IMU = "riins_msgs/msg/RedundantImu", "riins_msgs/msg/FusedImu"
 ODOMETRY, FIX, TWIST = "nav_msgs/msg/Odometry", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistWithCovarianceStamped"
@@ -86,6 +86,10 @@ class RunWriter:
     def initial_state(self, state: Any) -> None:
         """A riins_federated InitialState, or riins_sim DrawnInitialState with its `source`."""
         self._bag.write_message("/nav/initial_state", INITIAL, fields.initial_state(state), int(state.stamp_ns))
+
+    def method(self, effective_ns: int, selection: Any, log_ns: int) -> None:
+        """What fuses and judges from a stamp on (riins_imu_fusion Selection); 0 or less: from the first sample on."""
+        self._bag.write_message("/fdi/method", METHOD, fields.fusion_method(effective_ns, selection), log_ns)
 
     def faults(self, stamp_ns: int, faults: Iterable[Any], start_at_ns: int, source: str = "") -> None:
         """The riins_sim faults of the run, whose times count from `start_at_ns`; `source` tells arrays of several sources apart."""

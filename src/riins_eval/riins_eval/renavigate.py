@@ -123,6 +123,7 @@ class _Run:
         self.fusion = FusionLog()
         self._max_delay = round(configuration.navigator.max_delay_s * 1e9)
         self._newest = -(2**62)
+        self._writer: RunWriter | None = None
         self.notes: list[str] = []
         aligns = configuration.navigator.alignment.method != "none" or holds(reader, ALIGN_TOPIC)
         self._alone = not holds(reader, INITIAL_TOPIC) and not aligns
@@ -133,11 +134,14 @@ class _Run:
 
     def through(self, writer: RunWriter | None, progress: Callable[[float, float], None] | None) -> RunResult:
         """Everything, in windows of about 10 s of log time."""
+        self._writer = writer
         warm_up(self.pipeline)
         began = time.perf_counter()
         if writer is not None:
             writer.configuration(with_settings(self.configuration), self.reader.start_ns)
-            writer.copy(self.reader, dict.fromkeys((*RAW_TOPICS, *self._aids)), drop=() if writer.raw else (RAW_IMU,))
+            writer.copy(self.reader, dict.fromkeys((*RAW_TOPICS, *self._aids)), drop=(METHOD_TOPIC,) if writer.raw else (RAW_IMU, METHOD_TOPIC))
+            if METHOD_TOPIC not in self.reader.topics:
+                writer.method(0, self.pipeline.selected(), self.reader.start_ns)
         total = self.reader.duration_s
         for done_ns, window in self._windows():
             for part in _cut(window, self._max_delay):
@@ -198,10 +202,12 @@ class _Run:
         return _Method(**{**given, **{ours: getattr(fusion, name) for ours, name in names.items() if name in self._overridden}})
 
     def _obey(self, part: _Window) -> None:
-        """Commands before the samples: each waits for its own stamp."""
-        for _, item in part.others:
+        """Commands before the samples: each waits for its own stamp. A selection is written as it is obeyed, with what the caller has overridden."""
+        for log_ns, item in part.others:
             if isinstance(item, _Method):
                 result = self.pipeline.set_method(*item)
+                if result.success and self._writer is not None:
+                    self._writer.method(item.effective_ns, self.pipeline.selected(result.effective_ns), max(log_ns, self.reader.start_ns))
                 if not result.success:
                     self.notes.append(f"Selection at {(item.effective_ns - self.reader.start_ns) / 1e9:.1f} s refused: {result.message}.")
                 continue
