@@ -33,6 +33,7 @@ from .run_configuration import RecordError, RunConfiguration, holds, read_config
 from .run_record import RunRecord
 
 WINDOW_NS = 10_000_000_000
+PLAIN_IMU = "/imu/data_raw"
 INITIAL_TOPIC, COMMAND_TOPIC, METHOD_TOPIC = "/nav/initial_state", "/nav/commands", "/fdi/method"
 ALIGN_TOPIC, MASTER_TOPIC = "/nav/align", "/master/state"
 RAW_TOPICS = (
@@ -100,6 +101,8 @@ def navigate(
     BagError, SettingError
     """
     with BagReader(bag_in, namespace) as reader:
+        if holds(reader, PLAIN_IMU) and not holds(reader, RAW_IMU) and not holds(reader, "/imu/fused"):
+            raise RecordError(f"{bag_in} has no {RAW_IMU}, only {PLAIN_IMU} of one IMU: play it (ros2 bag play) to a navigator with imu_topic_type imu")
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")

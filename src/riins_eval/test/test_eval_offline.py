@@ -389,6 +389,16 @@ def test_a_bag_without_what_is_needed_says_so(bag, tmp_path):
             offline.navigate(target)
 
 
+def test_a_run_with_one_ordinary_imu_says_how_it_is_navigated_again(tmp_path):
+    from riins_node import fields
+
+    with BagWriter(tmp_path / "plain", flush_period_s=0.0) as writer:
+        content = fields.imu_raw(10**18, np.zeros(3), np.array([0.0, 0.0, -9.8]), np.eye(3), np.eye(3))
+        writer.write_message("/imu/data_raw", "sensor_msgs/msg/Imu", content, 10**18)
+    with pytest.raises(RecordError, match=r"only /imu/data_raw of one IMU: play it .* imu_topic_type imu"):
+        offline.navigate(tmp_path / "plain")
+
+
 def test_faults_cleared_under_way_end_there(tmp_path):
     from riins_node import fields
     from riins_sim.faults import Fault, FaultType
