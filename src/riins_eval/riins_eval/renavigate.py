@@ -102,7 +102,9 @@ def navigate(
     """
     with BagReader(bag_in, namespace) as reader:
         if holds(reader, PLAIN_IMU) and not holds(reader, RAW_IMU) and not holds(reader, "/imu/fused"):
-            raise RecordError(f"{bag_in} has no {RAW_IMU}, only {PLAIN_IMU} of one IMU: play it (ros2 bag play) to a navigator with imu_topic_type imu")
+            raise RecordError(
+                f"{bag_in} has no {RAW_IMU}, only {PLAIN_IMU} of one IMU: play it (ros2 bag play) to a navigator with imu_topic_type imu"
+            )
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
