@@ -14,7 +14,7 @@ import numpy as np
 
 from riins_core import ins_error
 from riins_core.ins_error import PHI, VEL, State
-from riins_core.rotation import dcm_from_euler
+from riins_core.rotation import dcm_from_euler, exp_so3
 from riins_core.strapdown import strapdown_block
 from riins_fdi.eraim import cross_check
 from riins_fdi.health import Change
@@ -176,7 +176,8 @@ class IntegratedFilter:
         m = self._running()
         if m.sums[12] > 0.0:
             s = self.states
-            transition(m.nav, m.sums, m.swing, s.density, s.decay, s.column, s.factor, self._Phi, self._Qd)
+            nav, sums = self._middle() if self._config.feedback_period_s else (m.nav, m.sums)
+            transition(nav, sums, m.swing, s.density, s.decay, s.column, s.factor, self._Phi, self._Qd)
             self._sample_noise.add(m.noise, m.sums[3:12].reshape(3, 3) / m.sums[12], float(m.sums[12]), self._Qd)
             self._structure.predict(self._Phi, self._Qd)
             m.parameters *= self._Phi.diagonal()[N_FED_BACK:]  # what is estimated of a Markov process fades as the process does
@@ -186,8 +187,8 @@ class IntegratedFilter:
     def judge(self, index: int, aid: Aid) -> tuple[Judged, Change | None]:
         """Test a measurement of subfilter `index`, not later than the newest sample, and fuse it if it passes."""
         local = self.subfilters[index]
-        measurement = local.model.measurement(aid, self._pose(aid.stamp_ns), self._running().parameters)
-        verdict = self._structure.judge(index, measurement)
+        pose, parameters, x = self._estimated(self._pose(aid.stamp_ns))
+        verdict = self._structure.judge(index, about(local.model.measurement(aid, pose, parameters), x))
         judged, change = local.judge(aid.stamp_ns, verdict, self._structure.separated(index))
         self._structure.take(index, verdict, judged.accepted)
         if index in self._receivers:
@@ -196,7 +197,8 @@ class IntegratedFilter:
 
     def fuse_height(self) -> None:
         """Fuse the known mean height, in every master."""
-        self._structure.add(self._height.measurement(self._pose(self.stamp_ns), self._running().parameters))
+        pose, parameters, x = self._estimated(self._pose(self.stamp_ns))
+        self._structure.add(about(self._height.measurement(pose, parameters), x))
 
     def close(self) -> list[TakenOut]:
         """End of what is judged at one sample: the solutions are compared, and what a faulty aid has put in is taken out; announced as a reset."""
@@ -231,6 +233,29 @@ class IntegratedFilter:
         x[PHI] = -(C_nb @ recall.angle)  # computed C_nb = C_nb exp([angle x]) = (I - [phi x]) C_nb
         x[VEL] = C_nb @ recall.velocity
         self._shift(x)
+
+    def _middle(self) -> tuple[Array, Array]:
+        """Nominal state and `sums` halfway to the estimate: the error of a nominal state far from the true one is linear about the middle of both."""
+        m, x = self._running(), 0.5 * self._structure.x
+        nav, sums, turn = m.nav.copy(), m.sums.copy(), exp_so3(x[PHI])
+        ins_error.correct(nav, x[:N_FED_BACK])
+        sums[0:3] = turn @ sums[0:3]
+        sums[3:12] = (turn @ sums[3:12].reshape(3, 3)).ravel()
+        return nav, sums
+
+    def _estimated(self, pose: Pose) -> tuple[Pose, Array, Array | None]:
+        """Pose and parameters to compare a measurement with, and the estimated errors that have been taken out of them, None: none.
+
+        While the estimate is not fed back it grows: products of errors, as of heading and velocity in a log, would become errors of the filter.
+        """
+        m = self._running()
+        if not self._config.feedback_period_s:
+            return pose, m.parameters, None
+        x = self._structure.x.copy()
+        nav, parameters = np.array([pose.lat, pose.lon, pose.h, *pose.v_n, *pose.C_nb.ravel(), 0.0]), m.parameters.copy()
+        self.states.correct(nav, parameters, x)
+        estimated = replace(pose, lat=nav[0], lon=nav[1], h=nav[2], v_n=nav[3:6], C_nb=nav[6:15].reshape(3, 3))
+        return estimated, parameters, x
 
     def _shift(self, x: Array, announced: bool = False) -> None:
         """Subtract errors from the nominal state; beyond one sigma it is a reset."""
@@ -317,3 +342,8 @@ class IntegratedFilter:
         rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
         a_n = (m.nav[3:6] - m.nav_before[3:6]) / m.dt if m.dt > 0.0 else np.zeros(3)
         return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, a_n)
+
+
+def about(measurement: Measurement, x: Array | None) -> Measurement:
+    """The measurement against the nominal state, of one that was compared with the nominal state less x."""
+    return measurement if x is None else replace(measurement, z=measurement.z + measurement.H @ x)
