@@ -246,7 +246,9 @@ def replay_graph(settings: GraphSettings) -> Graph:
             raise BagError(f"{settings.bag} has no {IMU_TOPIC}: there is nothing to navigate from")
         first_ns, last_ns = bag.span_ns(IMU_TOPIC)
         namespace = bag.namespace
-    nodes = _consumers(settings, recorded.fusion, recorded.navigator, recorded.text)
+    # a replay neither reads nor keeps a heading of this machine: what was read then is a command of the recording
+    alignment = dataclasses.replace(recorded.navigator.alignment, heading_file="")
+    nodes = _consumers(settings, recorded.fusion, dataclasses.replace(recorded.navigator, alignment=alignment), recorded.text)
     aids = [f"/{source.topic.strip('/')}" for source in inputs(recorded.navigator.aid)]
     raw = sorted(t for t in topics if selected(t, (*RAW_TOPICS, *aids)))
     # the recorder, too, must hear the first sample

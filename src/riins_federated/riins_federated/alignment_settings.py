@@ -51,6 +51,7 @@ class AlignmentSettings:
     position: tuple[float, ...] = setting((), "latitude [deg], longitude [deg], height [m]; empty: of the GNSS fixes")
     position_sigma_m: float = setting(20.0, "1-sigma error of the given position", "m", 0.01, 1e5)
     heading: tuple[float, ...] = setting((), "heading and its 1 sigma, deg, for known_heading and hot_start; empty: of a heading sensor")
+    heading_file: str = setting("", "file the settled heading is kept in and a hot start reads it from; empty: none")
     turned_deg: float = setting(0.5, "1-sigma turn at her moorings since the heading was saved, and yawing in waves", "deg", 0.0, 90.0)
     swing_m: float = setting(1.5, "largest 1-sigma swing about the mean place of a moored ship", "m", 0.01, 100.0)
     mounting_deg: float = setting(1.0, "1-sigma misalignment of this IMU to the master's axes, each axis", "deg", 0.001, 45.0)
@@ -63,8 +64,6 @@ class AlignmentSettings:
             raise SettingError(f'"position" must be empty or latitude, longitude, height, not {len(self.position)} numbers', ("position",))
         if len(self.heading) not in (0, 2) or (self.heading and self.heading[1] <= 0.0):
             raise SettingError('"heading" must be empty, or the heading and its sigma, which is positive', ("heading",))
-        if self.method == "hot_start" and not self.heading:
-            raise SettingError('method "hot_start" needs the saved "heading"', ("heading",))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from sensor_msgs.msg import NavSatFix
 from riins_core.earth import earth_rate_n, gravity
 from riins_core.rotation import dcm_from_euler
 from riins_core.sensor_errors import DEG
+from riins_federated.alignment_saved import read_heading, write_heading
+from riins_federated.alignment_settle import FULL
 from riins_federated.node import NavigatorNode
 from riins_msgs.action import Align
 from riins_msgs.msg import AlignCommand, AlignmentStatus, FusedImu, NavState
@@ -38,9 +40,9 @@ C_NB = dcm_from_euler(0.01, -0.02, 200.0 * DEG)
 class Bench:
     """A navigator at rest and whoever talks to it, in one thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, **parameters: Any) -> None:
         # at ten samples a second a mean over a sample is all there is: the noise of a second, a tenth of it
-        given = {"alignment.attempt_s": 5.0, "aids": ["gps"], "inertial.gyro_bias_deg_h": 0.01}
+        given = parameters | {"alignment.attempt_s": 5.0, "aids": ["gps"], "inertial.gyro_bias_deg_h": 0.01}
         self.node = NavigatorNode(parameter_overrides=[Parameter(name, value=value) for name, value in given.items()])
         self.other, self.executor = rclpy.create_node("bench"), SingleThreadedExecutor()
         for node in (self.node, self.other):
@@ -96,9 +98,9 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def bench(request):
     rclpy.init()
-    made = Bench()
+    made = Bench(**getattr(request, "param", {}))
     try:
         yield made
     finally:
@@ -145,3 +147,29 @@ def test_align_by_action(bench: Bench) -> None:
     bench.until(lambda: len(heard) >= 5)
     assert [alignment_fields.read_align_command(m)["method"] for m in heard] == ["redundant", "stationary", "cancel", "known_heading", "redundant"]
     assert [alignment_fields.read_align_command(m)["stamp_ns"] % DT for m in heard] == [1, 1, 1, 1, 2]
+
+
+HEADING_FILE = f"/tmp/riins_heading_{os.getpid()}.yaml"
+
+
+@pytest.mark.parametrize("bench", [{"alignment.method": "hot_start", "alignment.heading_file": HEADING_FILE}], indirect=True)
+def test_a_hot_start_reads_the_heading_that_was_kept_and_keeps_it(bench: Bench) -> None:
+    """The file is no part of a recording: what it held goes into a command, so that a replay has it."""
+    assert "no saved heading" in read_heading(HEADING_FILE)[1] and not write_heading(HEADING_FILE, 200.05 * DEG, 0.02 * DEG, START)
+    try:
+        bench.sail(66)
+        heard: list[Any] = []
+        bench.other.create_subscription(AlignCommand, "nav/align", heard.append, qos.latched(100))
+        bench.until(lambda: bench.states and bench.states[-1].mode == NavState.MODE_NAVIGATING and heard and bench.statuses[-1].code == FULL)
+        assert alignment_fields.read_align_command(heard[0])["heading"] == pytest.approx(200.05 * DEG)
+        assert bench.statuses[-1].method == "hot_start" and bench.statuses[-1].sigma_heading < 0.6 * DEG
+        kept, words = read_heading(HEADING_FILE)
+        assert kept is not None and kept[0] != pytest.approx(200.05 * DEG, abs=1e-9) and "saved heading" in words
+        assert kept[0] == pytest.approx(200.0 * DEG, abs=4.0 * kept[1])
+        assert "cannot be kept" in write_heading("/proc/nowhere/heading.yaml", 1.0, 0.1, 0)
+    finally:
+        os.unlink(HEADING_FILE)
+    with open(HEADING_FILE, "w") as broken:
+        broken.write("heading_deg: north")
+    assert "does not hold" in read_heading(HEADING_FILE)[1]
+    os.unlink(HEADING_FILE)

@@ -89,6 +89,7 @@ BAD = [
     (REST, {"method": "in_motion", "time_limit_s": 60.0}, lambda aids: [a for a in aids if a.name != "doppler"], "no velocity"),
     (REST, {"method": "auto", "time_limit_s": 40.0}, without_position, "no position"),
     (REST, {"method": "hot_start", "heading": (240.0, 0.1)}, None, "she was turned"),
+    (REST, {"method": "hot_start", "time_limit_s": 40.0}, None, "no heading is known"),
     (WAVES, {"method": "known_heading", "heading": (240.0, 0.2)}, None, "she was turned"),
     (WAY, {"method": "known_heading", "heading": (150.0, 0.2)}, None, "do not fit|off the known|bias"),
     (REST, {"method": "transfer", "time_limit_s": 40.0}, None, "no state of the master"),
@@ -115,7 +116,7 @@ def test_no_motion_for_poor_gyros_gives_no_heading() -> None:
 
 
 def test_settings_that_cannot_be() -> None:
-    for bad, words in (({"method": "hot_start"}, 'needs the saved "heading"'), ({"position": (1.0,)}, "latitude, longitude, height"),
+    for bad, words in (({"position": (1.0,)}, "latitude, longitude, height"),
                        ({"heading": (1.0, 0.0)}, "positive")):  # fmt: skip
         with pytest.raises(SettingError, match=words):
             config(bad)

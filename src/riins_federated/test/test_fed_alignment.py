@@ -65,7 +65,7 @@ def test_what_gives_no_heading_is_refused():
     place = (float(truth.lat[0]), float(truth.lon[0]), 0.0)
     with pytest.raises(AlignmentError, match="wrong latitude"):
         align_in_motion(rate, force, DT, (place[0] + 20.0 * DEG, *place[1:]), IMU, aids)
-    with pytest.raises(AlignmentError, match="bias of .* wrong latitude"):
+    with pytest.raises(AlignmentError, match=r"bias of .* wrong latitude"):
         align_in_motion(rate, force, DT, (place[0] + 5.0 * DEG, *place[1:]), IMU, aids)
     with pytest.raises(AlignmentError, match="beyond 85 deg"):
         align_in_motion(rate, force, DT, (86.0 * DEG, *place[1:]), IMU, aids)

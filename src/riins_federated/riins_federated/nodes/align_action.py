@@ -17,11 +17,16 @@ from riins_msgs import action, msg
 from riins_node import alignment_fields, convert, qos
 
 from ..alignment_report import state_of
+from ..alignment_saved import read_heading, write_heading
 from ..alignment_settings import CANCEL, AlignCommand, AlignmentReport, MasterState
-from ..alignment_settle import AlignmentStatus, SettleWatch
+from ..alignment_settle import FULL, AlignmentStatus, SettleWatch
 from ..config import NavigatorConfig
 from ..navigator import Navigator
+from ..reporting import Grid
 from ..types import NavSolution, Reason
+
+KEPT_S = 60.0
+"""Interval at which the settled heading is written to its file."""
 
 
 class _Goal:
@@ -49,6 +54,9 @@ class AlignPart:
         self._told: set[AlignCommand] = set()  # commands we have published, which come back
         self._commanded_ns = 0
         self._last = AlignmentStatus.unknown()
+        self._file = config.alignment.heading_file
+        self._hot = bool(self._file) and config.alignment.method == "hot_start" and not config.alignment.heading
+        self._kept = Grid(KEPT_S)
         publish = partial(node.create_publisher, qos_overriding_options=qos.overridable())
         take = partial(node.create_subscription, qos_overriding_options=qos.overridable())
         self._status = publish(msg.AlignmentStatus, "nav/alignment", qos.latched())
@@ -64,6 +72,7 @@ class AlignPart:
 
     def destroy(self) -> None:
         """Undo the making; goals that wait are aborted."""
+        self._keep(self._last)
         for goal in self._goals:
             goal.ended.set_result((False, "the node is being cleaned up"))
         self._server.destroy()
@@ -74,15 +83,32 @@ class AlignPart:
 
     def take(self, solutions: list[NavSolution]) -> list[NavSolution]:
         """Publish what is settled; the states of a navigator that is being aligned, for nav/state."""
+        if self._hot:
+            self._hot = False
+            self._start_hot()
         reports = self._navigator.drain_alignment()
         for status in self._watch.take(reports, solutions):
             self._last = status
             self._status.publish(self._message(status))
+            if status.code == FULL and self._kept.due(status.stamp_ns):
+                self._keep(status)
             if status.text:
                 self._node.get_logger().info(f"at {status.stamp_ns * 1e-9:.3f} s: {status.text}")
         for report in reports:
             self._tell(report)
         return [] if self._navigator.head() is not None else [state_of(report) for report in reports]
+
+    def _start_hot(self) -> None:
+        """Align from the heading that was kept; where there is none, as the motion wants it."""
+        found, words = read_heading(self._file)
+        problem = self._command("hot_start", None, 0.0, *found) if found else self._command("auto", None)
+        self._node.get_logger().info(f"{words}{': ' if problem else ''}{problem}")
+
+    def _keep(self, status: AlignmentStatus) -> None:
+        if self._file and status.code == FULL:
+            problem = write_heading(self._file, float(status.rph[2]), float(status.sigma[2]), status.stamp_ns)
+            if problem:
+                self._node.get_logger().warning(problem, throttle_duration_sec=60.0)
 
     def _message(self, status: AlignmentStatus) -> Any:
         return convert.fill(msg.AlignmentStatus, alignment_fields.alignment_status(status))
