@@ -13,6 +13,7 @@ import numpy as np
 from riins_core.earth import OMEGA_IE, radii_s
 from riins_core.jit import jit
 from riins_core.rotation import euler_from_dcm
+from riins_fdi.eraim import largest_horizontal
 from riins_fdi.innovation import nis_threshold
 
 from .config import ValidityLimits
@@ -95,12 +96,6 @@ def solution(
     )
 
 
-def horizontal_variance(P: Array) -> float:
-    """Larger eigenvalue of a 2 x 2 covariance."""
-    mean, half = 0.5 * (P[0, 0] + P[1, 1]), 0.5 * (P[0, 0] - P[1, 1])
-    return float(mean + math.sqrt(half * half + P[0, 1] * P[0, 1]))
-
-
 def validity(P: Array, lat: float, mode: Mode, limits: ValidityLimits) -> tuple[Validity, Validity, Validity]:
     """Validity of position, velocity and heading (MSC.252(83)).
 
@@ -111,8 +106,8 @@ def validity(P: Array, lat: float, mode: Mode, limits: ValidityLimits) -> tuple[
     if mode not in (Mode.NAVIGATING, Mode.COASTING):
         return (Validity.INVALID,) * 3
     secant = 1.0 / max(math.cos(lat), 1e-6)
-    position = math.sqrt(P95 * horizontal_variance(P[0:2, 0:2]))
-    velocity = math.sqrt(P95 * horizontal_variance(P[3:5, 3:5]))
+    position = math.sqrt(P95 * largest_horizontal(P[0, 0], P[1, 1], P[0, 1]))
+    velocity = math.sqrt(P95 * largest_horizontal(P[3, 3], P[4, 4], P[3, 4]))
     heading = 1.96 * math.degrees(math.sqrt(P[8, 8]))
     supported = mode is Mode.NAVIGATING
 
