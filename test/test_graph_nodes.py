@@ -25,6 +25,8 @@ EXECUTABLES = {
     "navigator": "riins_federated",
     "recorder": "riins_bag",
     "player": "riins_bag",
+    "nmea": "riins_nmea",
+    "motion": "riins_nmea",
     "rimu": "riins_sim",
     "gps": "riins_sim",
     "bds": "riins_sim",
@@ -33,7 +35,9 @@ EXECUTABLES = {
 }
 # the simulated sensors: scenari
 MISSPELT = {"imu_fusion": "gyro_sgma", "imu_array": "gyro_sgma", "navigator": "max_dela_s", "recorder": "pth", "player": "rat"}
+MISSPELT |= {"nmea": "talkr", "motion": "pont_m"}
 NEAREST = {"imu_fusion": "gyro_sigma", "imu_array": "gyro_sigma", "navigator": "max_delay_s", "recorder": "path", "player": "rate"}
+NEAREST |= {"nmea": "talker", "motion": "point_m"}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +53,7 @@ def raw_bag(scenario) -> Path:
 
 
 def every_node(scenario: Path, bag: Path, record: Path) -> list[NodeSpec]:
-    ship = build_graph(GraphSettings(scenario=str(scenario), record=str(record)))
+    ship = build_graph(GraphSettings(scenario=str(scenario), record=str(record), nmea="udp://127.0.0.1:9"))
     player = build_graph(GraphSettings(bag=str(bag))).node("player")
     array = NodeSpec("riins_imu_fusion", "imu_array", "imu_array", subscribes=("imu_0/raw",), publishes=("rimu/fusion_parameters",))
     return [*ship.nodes, array, NodeSpec("riins_bag", "player", "player", "source", {**player.parameters, "loop": True}, publishes=("rimu/raw",))]
@@ -144,6 +148,8 @@ def test_wrong_type_or_range_is_refused(tmp_path):
         "navigator": ["-p", "gps.sigma_m:=[1.0, 2.0]"],
         "recorder": ["-p", "flush_period_s:=soon"],
         "player": ["-p", "rate:=0.0"],
+        "nmea": ["-p", "rate_hz.gga:=11"],
+        "motion": ["-p", "cutoff_period_s:=1.0"],
         "rimu": ["-p", "scenario:=harbor"],
         "gps": ["-p", "rate:=1000.0"],
         "bds": ["-p", "seed:=-5"],

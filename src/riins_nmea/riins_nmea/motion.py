@@ -30,7 +30,7 @@ class MotionConfig:
     point_m: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "point whose heave is given, from base_link: forward, starboard, down", "m", -500.0, 500.0, length=3
     )
-    velocity_error_time_s: float = setting(300.0, "correlation time of the error of the navigator's vertical velocity, for the sigma", "s", 1.0, 1e5)
+    velocity_error_time_s: float = setting(600.0, "correlation time of the error of the navigator's vertical velocity, for the sigma", "s", 1.0, 1e5)
     heave_limit_m: float = setting(0.05, "heave is doubtful when its sigma exceeds this", "m", 1e-4, 10.0)
     heave_limit_ratio: float = setting(0.05, "... and this part of its own RMS", "", 0.0, 1.0)
     tilt_limit_deg: float = setting(0.25, "roll and pitch are doubtful when the sigma of either exceeds this", "deg", 1e-4, 45.0)
