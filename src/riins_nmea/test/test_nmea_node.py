@@ -24,6 +24,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from sensor_msgs.msg import NavSatFix
 
 from riins_msgs.msg import AlignmentStatus, FederatedStatus, NavState, SubfilterStatus, VesselMotion
@@ -209,6 +210,13 @@ def test_sentences_become_aids_and_wrong_ones_are_counted(bench: tuple[Bench, so
     values = {value.key: value.value for value in told["nmea: inputs"].values}
     assert (values["THS: checksum"], values["THS: not valid"], values["unreadable: malformed"]) == ("1", "1", "1")
     made.until(lambda: told["nmea: inputs"].message == "3 sentences rejected so far" and "motion" in told)
+
+    for step in (made.nmea.trigger_deactivate, made.nmea.trigger_cleanup, made.nmea.trigger_configure, made.nmea.trigger_activate):
+        assert step() == TransitionCallbackReturn.SUCCESS
+    made.until(lambda: made.nmea._aids["heading"][0].get_subscription_count() == 1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mouth:
+        mouth.sendto(sentence("HETHS", "90.00", "A").encode(), ("127.0.0.1", entry))
+    made.until(lambda: len(seen["compass/heading"]) == 2)
 
 
 @pytest.mark.parametrize(

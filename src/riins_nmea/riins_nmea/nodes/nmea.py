@@ -49,26 +49,33 @@ class NmeaNode(AutostartLifecycleNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("nmea", **kwargs)
         self._config = declare(self, NmeaConfig, also=["autostart"])
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the outputs, publish, subscribe, then listen."""
-        config = self._config
-        if not config.outputs and not config.inputs:
-            raise ParameterError('nothing to do: give "outputs" (udp://HOST:PORT, serial:///dev/NAME?baud=N) or "inputs"')
         self._lines = SerialLines()
         self._receiver: Receiver | None = None
         self._senders: list[Sender] = []
+        self._arrived: deque[tuple[str, bytes, bool, int]] = deque()
+        self._bell = self.create_guard_condition(self._take_in)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the links, publish, then subscribe."""
+        config = self._config
+        if not config.outputs and not config.inputs:
+            raise ParameterError('nothing to do: give "outputs" (udp://HOST:PORT, serial:///dev/NAME?baud=N) or "inputs"')
+        self._lines, self._senders = SerialLines(), []
+        self._parts: dict[str, Lines] = {}
         try:
-            self._open(config)
+            self._reader = AidReader(config) if config.inputs else None
+            for text in config.outputs:
+                self._senders.append(Sender(parse_link(text, output=True), self._lines))
+            if config.inputs:
+                self._receiver = Receiver([parse_link(text, output=False) for text in config.inputs], self._lines, self._arrive)
         except (LinkError, ImportError) as error:
             self._close()
             raise StartError(str(error) if isinstance(error, LinkError) else "pynmeagps is missing: pip install pynmeagps") from None
+        self._connect(config)
         return TransitionCallbackReturn.SUCCESS
 
-    def _open(self, config: NmeaConfig) -> None:
+    def _connect(self, config: NmeaConfig) -> None:
         override = qos.overridable()
-        self._senders = [Sender(parse_link(text, output=True), self._lines) for text in config.outputs]
-        self._reader = AidReader(config) if config.inputs else None
         self._form = sentences.Form(**{field.name: getattr(config, field.name) for field in dataclasses.fields(sentences.Form)})
         self._schedule = Schedule(dataclasses.asdict(config.rate_hz), config.heave_wait_s)
         self._pictures: dict[int, sentences.Picture] = {}
@@ -93,11 +100,6 @@ class NmeaNode(AutostartLifecycleNode):
                 take(AlignmentStatus, "nav/alignment", self._on_alignment, qos.latched()),
             ]
         self._clocks = [self.create_timer(1.0, self._diagnose), self.create_timer(0.05, self._watch)]
-        self._arrived: deque[tuple[str, bytes, bool, int]] = deque()
-        self._parts: dict[str, Lines] = {}
-        self._bell = self.create_guard_condition(self._take_in)
-        if config.inputs:
-            self._receiver = Receiver([parse_link(text, output=False) for text in config.inputs], self._lines, self._arrive)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """The time-out for "no state" counts from here."""
@@ -113,13 +115,11 @@ class NmeaNode(AutostartLifecycleNode):
             self.destroy_subscription(subscription)
         for publisher in (self._diagnostics, *(one[0] for one in self._aids.values())):
             self.destroy_publisher(publisher)
-        self.destroy_guard_condition(self._bell)
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
         """Close sockets and lines with the node."""
-        if hasattr(self, "_lines"):
-            self._close()
+        self._close()
         super().destroy_node()
 
     def _close(self) -> None:
