@@ -36,7 +36,7 @@ def test_the_improved_test_gains_less_than_its_claim() -> None:
     late = {name: vehicle.delays(vehicle.made(name), noise, shift).mean() for name in ("nis", "improved", "mewma")}
     assert late["nis"] == pytest.approx(58.0, rel=0.2)
     assert 0.4 < late["improved"] / late["nis"] <= 0.78 and late["mewma"] / late["nis"] <= 0.48
-    times, delay = (made_row.value for made_row in vehicle._claim(aids, shift)[1:])
+    times, delay = (made_row.value for made_row in vehicle._claim("", aids, shift)[1:])
     assert times < 1.0 and delay <= 31.0
 
 

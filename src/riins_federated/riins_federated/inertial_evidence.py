@@ -41,6 +41,8 @@ class InertialEvidence:
     def learn(self, index: int, rows: Iterable[int], standardized: Array) -> None:
         """Take standardized innovations (k, m) of an aid against the masters `rows`."""
         m = standardized.shape[1]
+        if m > self._mean.shape[2]:  # four beams, or position and velocity at once
+            self._mean = np.pad(self._mean, ((0, 0), (0, 0), (0, m - self._mean.shape[2])))
         self._width[index] = m
         for row, one in zip(rows, standardized, strict=True):
             self._mean[row, index, :m] = self._keep * self._mean[row, index, :m] + (1.0 - self._keep) * np.clip(one, -CLIP, CLIP)

@@ -243,6 +243,7 @@ def _delays(seeds: int, drives: int, progress: Progress) -> list[Row]:
     for i, (label, aids) in enumerate(JUDGES.items()):
         unit, size = judge(aids).shift(Fault(ONSET, SECONDS, slope=1.0)), slope(aids)
         jump = judge(aids).shift(Fault(ONSET, SECONDS, step=STEP))
+        said = f"GNSS judged {label}, ramp {size:.2f} m/s"
         late: dict[str, list[float]] = {name: [] for name in INNOVATION_TESTS}
         steps: dict[str, list[float]] = {name: [] for name in ("nis", "improved")}
         for seed in range(seeds):
@@ -252,11 +253,9 @@ def _delays(seeds: int, drives: int, progress: Progress) -> list[Row]:
             for name, values in steps.items():
                 values.append(float(delays(made(name), noise, jump).mean()))
             progress((i + (seed + 1) / seeds) / len(JUDGES))
-        rows.append(
-            row(None, f"GNSS judged {label}, ramp {size:.2f} m/s: chi-square, s", late["nis"], paper=COSTS, remark="the slope is made for it")
-        )
+        rows.append(row(None, f"{said}: chi-square, s", late["nis"], paper=COSTS, remark="the slope is made for it"))
         remark = "004's figures are one drive each at thresholds that it does not tell"
-        rows.append(row(None, "the same: improved, s", late["improved"], paper=CLAIMED, remark=remark))
+        rows.append(row(None, f"{said}: improved, s", late["improved"], paper=CLAIMED, remark=remark))
         for name in ("improved", "averaged", "mewma", "cusum", "windowed_glr"):
             limit = 0.78 if name == "improved" else 0.48
             aimed = name in ("improved", "averaged", "mewma")
@@ -264,23 +263,23 @@ def _delays(seeds: int, drives: int, progress: Progress) -> list[Row]:
             remark = "the filter follows: the ramp levels off at 3.5 sigma, where one epoch alone waits for chance" if name == "improved" else ""
             rows.append(
                 row(
-                    41 if aimed else None, f"the same: {name} / chi-square", ratio, paper=CLAIMED / COSTS if name == "improved" else None,
+                    41 if aimed else None, f"{said}: {name} / chi-square", ratio, paper=CLAIMED / COSTS if name == "improved" else None,
                     ok=functools.partial(_most, limit) if aimed else None, remark=remark,
                 )
             )  # fmt: skip
         for name, values in steps.items():
             rows.append(row(None, f"GNSS judged {label}, step {STEP:g} m: {name}, s", values, paper="at once", ok=lambda r: r.value <= 2.0))
-        rows += _claim(aids, size * unit)
+        rows += _claim(said, aids, size * unit)
     return rows
 
 
-def _claim(aids: tuple[int, ...], shift: Array) -> list[Row]:
+def _claim(said: str, aids: tuple[int, ...], shift: Array) -> list[Row]:
     """What 30 s would cost, and what 004's own reading of the statistic gives."""
     noise, u = judge(aids).innovations(999, CALIBRATION), innovations(aids)
     bought = INNOVATION_TESTS["improved"](DOF, threshold=threshold_for(CLAIMED, noise, shift))
     rows = [
         row(
-            None, "the same ramp: time between false alarms at which the improved test takes 30 s, h, of 10", [between_alarms(bought, u)],
+            None, f"{said}: time between false alarms at which the improved test takes 30 s, h, of 10", [between_alarms(bought, u)],
             remark="so much of the claimed gain is a lower threshold, not a better test",
         )
     ]  # fmt: skip
@@ -288,9 +287,9 @@ def _claim(aids: tuple[int, ...], shift: Array) -> list[Row]:
     late = float(delays(own, noise, shift).mean())
     remark = "004 calls the mean eigenvalue chi-square with m degrees of freedom; it is not: it then alarms so often"
     rows.append(
-        row(None, "the improved test at the chi-square test's threshold: time between false alarms, h", [between_alarms(own, u)], remark=remark)
+        row(None, f"{said}: improved test at the threshold of chi-square: time between false alarms, h", [between_alarms(own, u)], remark=remark)
     )
-    rows.append(row(None, "the same: delay on the ramp, s", [late], paper=CLAIMED))
+    rows.append(row(None, f"{said}: improved test at the threshold of chi-square: delay, s", [late], paper=CLAIMED))
     return rows
 
 
@@ -317,7 +316,9 @@ def _shares(each: Sequence[dict[str, Array]]) -> list[Row]:
             gain = [one[f"{form}, equal shares"][i] - one[f"{form}, shares by innovations"][i] for one in each]
             rows.append(row(None, f"noise that grows untold, {form}: gain of shares by innovations, {what}", gain, paper=claim, remark=remark))
     gain = [one["information form"][0] - one["information form, adaptive R"][0] for one in each]
-    rows.append(row(None, "noise that grows untold: gain of adaptive R, position, m", gain, remark="it helps the velocity most", ok=lambda r: r.value > 0.0))
+    rows.append(
+        row(None, "noise that grows untold: gain of adaptive R, position, m", gain, remark="it helps the velocity most", ok=lambda r: r.value > 0.0)
+    )
     return rows
 
 
