@@ -150,7 +150,8 @@ def reduce_covariance(covariance: Floats) -> Floats:
 def nis_per_dof(judged: Judged, faults: list[FaultInterval]) -> float:
     """Mean NIS over the measured components, accepted measurements outside the faults of this subfilter: 1 for a consistent filter.
 
-    Measurements that were rejected outside a fault count as well: leaving them out would make any filter look consistent.
+    Measurements that were rejected outside a fault count as well: leaving them out would make any filter look consistent. It is that of the master's
+    innovations: the statistic of a verdict is the largest of several tests', whose mean is more than one.
 
     Returns
     -------
@@ -159,7 +160,7 @@ def nis_per_dof(judged: Judged, faults: list[FaultInterval]) -> float:
     good = np.isfinite(judged.nis) & ~_in_fault(judged, faults)
     dof = np.isfinite(judged.standardized).sum(axis=1)
     good &= dof > 0
-    return float(np.sum(judged.nis[good]) / np.sum(dof[good])) if good.any() else float("nan")
+    return float(np.nansum(judged.standardized[good] ** 2) / np.sum(dof[good])) if good.any() else float("nan")
 
 
 def horizontal_distance(track: Track, other: Track) -> Floats:
