@@ -57,7 +57,7 @@ def bag_recover(
 def bag_play(
     bag: BagArgument,
     rate: Annotated[float, typer.Option(help="speed in times real time")] = 1.0,
-    start: Annotated[float, typer.Option(help="begin this long after the start of the bag [s]")] = 0.0,
+    start: Annotated[float, typer.Option(help="begin this long after the start of the bag \\[s]")] = 0.0,
     loop: Annotated[bool, typer.Option("--loop", help="begin anew at the end")] = False,
     all_topics: Annotated[bool, typer.Option("--all", help="play every topic, not the raw ones alone")] = False,
     namespace: Annotated[str, typer.Option(help="namespace of the topics")] = "",

@@ -122,6 +122,7 @@ def navigate(
     record: Annotated[Record, typer.Option(help="what goes into the new bag")] = Record.nav,
     namespace: NamespaceOption = None,
     json_file: JsonOption = None,
+    align: Annotated[str, typer.Option(help="alignment method that finds the state instead of the one recorded: auto, in_motion ...")] = "",
 ) -> int:
     """Fuse and navigate from the raw topics of a recorded bag, offline.
 
@@ -130,7 +131,8 @@ def navigate(
     from riins_eval import offline
 
     with Progress(f"navigate {bag.name}") as progress:
-        run = offline.navigate(bag, out, record=record.value, progress=progress, namespace=namespace)
+        over = {"navigator": {"alignment": {"method": align}}} if align else None
+        run = offline.navigate(bag, out, record=record.value, progress=progress, overrides=over, namespace=namespace)
     return judge(run.score, run.expect, json_file)
 
 
@@ -176,7 +178,7 @@ def up(
     record: Annotated[
         Path | None, typer.Option("--record", help="record every topic to this bag directory", metavar="DIR", callback=new_directory)
     ] = None,
-    duration: Annotated[float, typer.Option(help="stop after this much measurement time [s] (0: all of it)")] = 0.0,
+    duration: Annotated[float, typer.Option(help="stop after this much measurement time \\[s] (0: all of it)")] = 0.0,
     seed: Annotated[int, typer.Option(help="seed of all noise (-1: the scenario's)")] = -1,
     namespace: Annotated[str, typer.Option(help="namespace of all nodes and topics")] = "",
     nmea: Annotated[
@@ -249,7 +251,10 @@ def import_file(
 
 @app.command()
 def reproduce(
-    name: Annotated[str, typer.Argument(help="study: thesis, beyond, alignment, ship, aircraft, real (faults put into recordings)", metavar="NAME")],
+    name: Annotated[
+        str,
+        typer.Argument(help="study: thesis, beyond, alignment, ship, aircraft, vehicle, faults, real (faults put into recordings)", metavar="NAME"),
+    ],
     quick: Annotated[bool, typer.Option("--quick", help="a tenth of the seeds and fewer epochs, for a first look")] = False,
     seeds: Annotated[int | None, typer.Option(help="seeds of everything random, or cases (default: thesis 50, real 200)", min=1)] = None,
     out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
@@ -291,7 +296,7 @@ def reproduce(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", help="directory for bags and reports, made anew", metavar="DIR")] = Path("out/demo"),
-    duration: Annotated[float, typer.Option(help="length of the live run [s] (0: all of the scenario)")] = 0.0,
+    duration: Annotated[float, typer.Option(help="length of the live run \\[s] (0: all of the scenario)")] = 0.0,
 ) -> int:
     """The whole house in under four minutes: live harbour run with recording, 12 h voyage offline, report, one table.
 

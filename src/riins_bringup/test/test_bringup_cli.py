@@ -25,6 +25,18 @@ def test_help_at_every_level_has_an_example(verb, capsys):
     assert "Example" in capsys.readouterr().out
 
 
+def test_help_keeps_units_and_names_every_study(capsys):
+    """Square brackets are markup to the printer of help; the studies stand in the help by hand, because it must not import them."""
+    from riins_eval.reproduce import STUDIES
+
+    for words in (["up"], ["demo"], ["bag", "play"]):
+        assert main([*words, "--help"]) == 0
+        assert "[s]" in capsys.readouterr().out, words
+    assert main(["reproduce", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert not [name for name in STUDIES if name not in text]
+
+
 def test_help_imports_nothing_heavy():
     code = (
         "import sys, riins_bringup.cli as c; c.main(['--help']); print([m for m in ('numpy', 'scipy', 'numba', 'rclpy', 'yaml') if m in sys.modules])"
