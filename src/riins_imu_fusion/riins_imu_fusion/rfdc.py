@@ -39,7 +39,7 @@ class RfdcSettings:
     """Settings of rfdc and irfdc, in sigma of a sample, process and vote as the thesis has them; its K of 40 is for drifts of fifty sigma."""
 
     filter: str = setting("ekf", "filter that estimates what is left of the drifts", choices=tuple(FILTERS))
-    gain: float = setting(10.0, "feedback gain K; K dt is at most 1, beyond it overshoots", "1/s", 0.0, 1e4)
+    gain: float = setting(1.0, "feedback gain K; K dt is at most 1, beyond it overshoots", "1/s", 0.0, 1e4)
     process: float = setting(0.5, "random walk of a drift in one sample", "sigma", 1e-6, 1e3)
     vote: float = setting(6.25, "noise of the pseudo-measurements that vote on whose drift it is", "sigma^2", 1e-6, 1e6)
     most: float = setting(8.0, "bound of the standard deviation of a drift: about there a test isolates", "sigma", 1e-3, 1e6)
