@@ -7,8 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from riins_bag.bag import BagError, BagReader, BagWriter, message, serialize
+from riins_bag.bag import BagError, BagReader, BagWriter, message, schema_text, serialize
 from riins_core.settings import SettingError, as_mapping
 from riins_eval import bag_record, configure, metrics, offline, renavigate
 from riins_eval.lane import size_text
@@ -230,6 +231,57 @@ def test_aids_by_other_names_are_read_from_their_topics(bag, tmp_path, run):
     wrong = {**declared, "stern": {**declared["stern"], "frame": "other_link"}}
     refused = offline.navigate(tmp_path / "renamed", overrides={"navigator": wrong}).record
     assert "stern" not in refused.judged and (refused.samples.rejected, refused.samples.no_fix) == (28, 2)
+
+
+DVL = """
+std_msgs/Header header
+uint8 velocity_mode
+uint8 dvl_type
+geometry_msgs/Vector3 velocity
+float64[9] velocity_covar
+float64 altitude
+float64 course_gnd
+float64 speed_gnd
+uint8 num_good_beams
+float32 sound_speed
+bool beam_ranges_valid
+bool beam_velocities_valid
+geometry_msgs/Vector3[4] beam_unit_vec
+float64[4] range
+float32[4] range_covar
+float32[4] beam_quality
+float32[4] beam_velocity
+float32[4] beam_velocity_covar
+"""
+
+
+def test_beams_of_a_dvl_recorded_by_a_package_that_is_not_installed_are_navigated(bag, tmp_path, run):
+    """The log's velocities as marine_acoustic_msgs/Dvl, whose definition is in the bag alone; one beam never sees the bottom."""
+    kind, types = "marine_acoustic_msgs/msg/Dvl", get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg(DVL, kind))
+    azimuth = np.radians([45.0, 135.0, 225.0, 315.0])
+    along = np.column_stack([np.sin(np.pi / 6) * np.cos(azimuth), np.sin(np.pi / 6) * np.sin(azimuth), np.full(4, np.cos(np.pi / 6))])
+    with BagReader(bag) as reader, BagWriter(tmp_path / "dvl", flush_period_s=0.0) as writer:
+        log = as_mapping(bag_record.read_configuration(reader).navigator.aid["doppler"])
+        writer.add_topic("/dvl/dvl", kind, schema=schema_text(kind, types), digest=types.hash_rihs01(kind))
+        for one in reader.messages((*RAW_TOPICS, "/riins/configuration")):
+            if one.topic != "/doppler/velocity":
+                writer.write(one.topic, one.msgtype, one.data, one.log_ns)
+        empty, vector = np.zeros(4), types.types["geometry_msgs/msg/Vector3"]
+        for _, log_ns, msg in reader.read(("/doppler/velocity",)):
+            v = msg.twist.twist.linear
+            beams = along @ [v.x, -v.y, -v.z if np.isfinite(v.z) else 0.0]
+            beams[2] = np.nan
+            made = types.types[kind](
+                msg.header, 1, 0, v, np.full(9, -1.0), 50.0, 0.0, 0.0, 3, 1500.0, True, True, np.array([vector(0.0, 0.0, 1.0)] * 4), empty,
+                empty.astype(np.float32), empty.astype(np.float32), beams.astype(np.float32), np.full(4, -1.0, np.float32),
+            )  # fmt: skip
+            writer.write("/dvl/dvl", kind, bytes(types.serialize_cdr(made, kind)), log_ns)
+    keep = ("misalignment_deg", "lever_arm_m", "period_s", "timeout_s")
+    dvl = {"type": "beam_velocity", "sigma_mps": 0.1, **{name: log[name] for name in keep}}
+    made = offline.navigate(tmp_path / "dvl", tmp_path / "again", overrides={"navigator": {"aids": ["gps", "bds", "dvl"], "dvl": dvl}})
+    assert made.score["subfilters"]["dvl"]["accepted"] == 60 and made.score["position_rms_m"] < 6.0
+    assert made.record.judged["dvl"].innovation.shape == (60, 3)
 
 
 def test_order_of_arrival_does_not_matter(bag, tmp_path, run):
