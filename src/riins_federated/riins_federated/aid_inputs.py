@@ -1,6 +1,6 @@
 """From a message to a measurement of a declared aid, the same live and offline.
 
-Lives here: `AidInput`, `inputs`, `check_topics`.
+Lives here: `AidInput`, `inputs`, `check_aids`.
 Does not live here: the readers (riins_node.readings), subscriptions (node.py), bags (riins_eval.renavigate).
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from riins_core.settings import SettingError
+from riins_node.readings import is_for_fusion
 
 from .aiding import AidSettings, Input
 from .aids import AID_MODELS
@@ -54,14 +55,17 @@ def inputs(aids: Mapping[str, AidSettings]) -> list[AidInput]:
     return found
 
 
-def check_topics(aids: Mapping[str, AidSettings]) -> None:
-    """Refuse two aids that would take the same measurements.
+def check_aids(aids: Mapping[str, AidSettings]) -> None:
+    """Refuse two aids that would take the same measurements, and names that are those of inertial sensors.
 
     Raises
     ------
     SettingError
-        Two aids have one topic.
+        Two aids have one topic, or a name begins with gyro_ or accel_: an operator's command would go to the fusion.
     """
+    for name in aids:
+        if is_for_fusion(name):
+            raise SettingError(f'"aids" names "{name}": names that begin with gyro_ or accel_ are those of inertial sensors', ("aids",))
     taken: dict[tuple[str, str], str] = {}
     for one in inputs(aids):
         key = (one.topic.strip("/"), one.input.part)

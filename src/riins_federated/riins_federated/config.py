@@ -12,7 +12,7 @@ from typing import Any
 
 from riins_core.settings import SettingError, declared, section, setting
 
-from .aid_inputs import check_topics
+from .aid_inputs import check_aids
 from .aids import DEFAULT_AIDS, aid_settings
 from .alignment_settings import AlignmentSettings
 from .inertial_model import InertialModel
@@ -80,7 +80,7 @@ class NavigatorConfig:
 
     def __post_init__(self) -> None:
         StateModel(self.inertial, self.states)
-        check_topics(self.aid)
+        check_aids(self.aid)
         if self.calibration_lead_s <= self.max_delay_s:
             raise SettingError('"calibration_lead_s" must exceed "max_delay_s": it would come too late')
         limits = self.validity

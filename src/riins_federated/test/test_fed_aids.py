@@ -299,6 +299,7 @@ def test_every_file_is_a_type_and_the_defaults_exist() -> None:
         ({"aids": ["gps", "stern"], "stern": {"type": "gnss_position", "topic": "/gps/fix"}}, r'"stern" has the topic "/gps/fix".* of "gps"'),
         ({"gps": {"type": "heading"}, "bds": {"sigma_deg": 1.0}}, r'unknown setting "bds.sigma_deg"'),
         ({"gps": {"sigma_mm": [1, 1, 1]}}, r'unknown setting "gps.sigma_mm" \(did you mean "sigma_m"\?\)'),
+        ({"aids": ["gyro_compass"], "gyro_compass": {"type": "heading"}}, r'"gyro_compass": names that begin with gyro_'),
         ({"states": ["gyro_scales"]}, r'"states" names "gyro_scales" \(did you mean "gyro_scale"\?\)'),
     ],
 )  # fmt: skip
