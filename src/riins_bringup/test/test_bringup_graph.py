@@ -119,6 +119,19 @@ def test_disabled_aid_has_no_node(tmp_path):
     assert "bds" not in names and "gps" in names
 
 
+def test_an_aircraft_has_the_nodes_of_its_aids_and_a_ship_none_of_them():
+    graph = build_graph(GraphSettings(scenario="aircraft"))
+    assert [n.name for n in graph.of("source")] == ["rimu", "gps", "doppler", "altimeter", "star_tracker", "truth"]
+    heard = set(graph.node("navigator").subscribes)
+    assert {"gps/fix", "gps/velocity", "doppler/velocity", "altimeter/height", "star_tracker/attitude"} <= heard
+    published = {topic for n in graph.of("source") for topic in n.publishes}
+    assert {topic for topic in published if not topic.startswith(("rimu", "truth", "nav"))} <= heard
+    car = build_graph(GraphSettings(scenario="vehicle"))
+    assert [n.name for n in car.of("source")] == ["rimu", "bds", "odometer", "altimeter", "truth"]
+    ship = build_graph(GraphSettings(scenario="harbour"))
+    assert [n.name for n in ship.of("source")] == ["rimu", "gps", "bds", "doppler", "truth"]
+
+
 def test_bridge_only_where_asked_and_a_wrong_address_at_once():
     """nmea brings motion with it; neither is there otherwise; both are consumers that hear the navigator."""
     names = [n.name for n in build_graph(GraphSettings(scenario="harbour", motion=True)).of("consumer")]
