@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -131,6 +132,31 @@ def wait_until(condition: Callable[[], Any], timeout: float, what: str) -> Any:
         assert time.monotonic() < deadline, f"waited {timeout:g} s for {what}"
         time.sleep(0.02)
     return value
+
+
+class Bridge:
+    """A UDP port that keeps every datagram that comes, as a bridge system would listen; `port` is its number."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.2)
+        self.port = self._socket.getsockname()[1]
+        self.heard: list[str] = []
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._ending.is_set():
+            with contextlib.suppress(TimeoutError):
+                self.heard.append(self._socket.recv(2000).decode("ascii"))
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._ending.set()
+        self._thread.join(5.0)
+        self._socket.close()
 
 
 def ns(stamp: Any) -> int:

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pynmea2
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TwistWithCovarianceStamped
-from harness import Listener, by_stamp, ns, own_domain, settled_distance, short_scenario, wait_until
+from harness import Bridge, Listener, by_stamp, ns, own_domain, settled_distance, short_scenario, wait_until
 from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
@@ -42,6 +43,7 @@ from riins_msgs.msg import (
     RedundantImu,
     SubfilterStatus,
     TriadFdi,
+    VesselMotion,
 )
 from riins_node import fields
 
@@ -59,6 +61,7 @@ TOPICS: dict[str, tuple[type, float, str]] = {
     "/bds/velocity": (TwistWithCovarianceStamped, 1.0, "map"),
     "/doppler/velocity": (TwistWithCovarianceStamped, 1.0, "doppler_link"),
     "/nav/state": (NavState, 100.0, "map_ned"),
+    "/nav/motion": (VesselMotion, 100.0, "map_ned"),
     "/nav/settled": (NavState, 1.0, "map_ned"),
     "/nav/covariance": (NavCovariance, 1.0, "map_ned"),
     "/nav/innovations": (Innovation, 3.0, ""),
@@ -91,6 +94,7 @@ class Observed:
     statuses: dict[str, int]
     example: tuple[int | None, str]
     start_ns: int
+    bridge: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
 
 
@@ -99,7 +103,9 @@ def run(tmp_path_factory):
     """Live run of the short scenario, recorded, with a listener from the start, one that joins late, and the example node."""
     directory = tmp_path_factory.mktemp("live")
     with own_domain(directory):
-        graph = build_graph(GraphSettings(scenario=str(short_scenario(directory)), record=str(directory / "bag")))
+        bridge = Bridge()
+        nmea = f"udp://127.0.0.1:{bridge.port}"
+        graph = build_graph(GraphSettings(scenario=str(short_scenario(directory)), record=str(directory / "bag"), nmea=nmea))
         topics = {name: kind for name, (kind, _, _) in TOPICS.items()} | {"/diagnostics": DiagnosticArray}
         plain = {k: v for k, v in os.environ.items() if k not in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
         example = subprocess.Popen(
@@ -123,11 +129,13 @@ def run(tmp_path_factory):
             output = example.communicate(timeout=10.0)[0]
         finally:
             example.kill()
-        yield Observed(directory / "bag", listener.messages, listener.arrivals, late, qos, summary, statuses, (example.returncode, output), start_ns)
+            bridge.close()
+        ended = (example.returncode, output)
+        yield Observed(directory / "bag", listener.messages, listener.arrivals, late, qos, summary, statuses, ended, start_ns, bridge.heard)
 
 
 def test_every_node_ends_with_status_0(run):
-    assert run.statuses == dict.fromkeys(("imu_fusion", "navigator", "recorder", "rimu", "gps", "bds", "doppler", "truth"), 0)
+    assert run.statuses == dict.fromkeys(("imu_fusion", "navigator", "motion", "nmea", "recorder", "rimu", "gps", "bds", "doppler", "truth"), 0)
 
 
 @pytest.mark.parametrize("topic", TOPICS)
@@ -155,6 +163,36 @@ def test_no_sample_is_lost_on_the_way(run):
     assert np.all(np.diff([m.sequence for m in run.messages["/nav/state"]]) == 1)
     last = run.messages["/nav/subfilters"][-1]
     assert (last.imu_lost, last.imu_rejected, last.restarts) == (0, 0, 0)
+
+
+def test_the_bridge_hears_the_navigator(run):
+    """Sentences over UDP, read by a parser that is not ours, against the state of the same stamp; before the first state they say invalid."""
+    states = {round(ns(m.header.stamp) * 1e-7): m for m in run.messages["/nav/state"]}
+    motions = [ns(m.header.stamp) for m in run.messages["/nav/motion"]]
+    assert motions == [ns(m.header.stamp) for m in run.messages["/nav/state"]]
+    midnight = run.start_ns // 86_400_000_000_000 * 8_640_000
+
+    def state_of(time_of_day):
+        seconds = time_of_day.hour * 3600 + time_of_day.minute * 60 + time_of_day.second
+        return states.get(midnight + seconds * 100 + time_of_day.microsecond // 10_000) or states.get(
+            midnight + 8_640_000 + seconds * 100 + time_of_day.microsecond // 10_000
+        )
+
+    fixes = [pynmea2.parse(text, check=True) for text in run.bridge if "GGA" in text]
+    valid = [fix for fix in fixes if fix.gps_qual]
+    assert 14 <= len(valid) <= 16 and {fix.gps_qual for fix in valid} <= {1, 6} and valid[-1].gps_qual == 1
+    for fix in valid:
+        state = state_of(fix.timestamp)
+        assert (fix.latitude, fix.longitude) == pytest.approx((state.latitude, state.longitude), abs=1e-7)
+        assert float(fix.altitude) == pytest.approx(state.height, abs=0.006)
+    assert len(fixes) > len(valid) and all(fix.lat == "" for fix in fixes if not fix.gps_qual)
+    tilts = [tilt for tilt in (pynmea2.parse(text, check=True) for text in run.bridge if "PASHR" in text) if tilt.roll is not None]
+    assert len(tilts) >= 150
+    for tilt in tilts:
+        state = state_of(tilt.timestamp)
+        assert (tilt.roll, tilt.pitch) == pytest.approx((math.degrees(state.roll), math.degrees(state.pitch)), abs=0.006)
+        assert math.remainder(tilt.true_heading - math.degrees(state.heading), 360.0) == pytest.approx(0.0, abs=0.006)
+        assert tilt.heave is None  # not settled in 15 s
 
 
 def test_qos_is_reliable_and_status_is_latched(run):
