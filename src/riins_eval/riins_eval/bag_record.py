@@ -89,7 +89,7 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in configuration.recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
-            drift=_drift(reader), ended_ns=_last_status_ns(reader), alignment=_alignment(reader),
+            drift=_drift(reader), ended_ns=_last_status_ns(reader), alignments=_alignments(reader),
         )  # fmt: skip
         for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
             if holds(reader, topic):
@@ -202,18 +202,21 @@ def _track(columns: dict[str, NDArray[Any]]) -> tuple[Track, NDArray[np.intp]]:
     return Track(stamps[index].astype(np.int64), np.radians(c["latitude"]), np.radians(c["longitude"]), c["height"], v_n, rph), index
 
 
-def _alignment(reader: BagReader) -> Alignment | None:
-    """The last alignment that ended, else the last status of one; None where the navigator was given its state."""
-    if not holds(reader, "/nav/alignment"):
-        return None
-    statuses = [m for _, _, m in reader.read(["/nav/alignment"])]
-    ended = [m for m in statuses if "aligned by " in m.text or "alignment failed" in m.text or "alignment cancelled" in m.text]
-    spoken = ended[-1] if ended else statuses[-1]
-    if not spoken.method:
-        return None
-    stamp = to_ns(spoken.header.stamp)
-    began = stamp - round(spoken.elapsed * 1e9)
-    return Alignment(spoken.method, spoken.text, "aligned by " in spoken.text, began, stamp, float(statuses[-1].settle_time))
+def _alignments(reader: BagReader) -> list[Alignment]:
+    """Alignments that ended, and the one that did not."""
+    found: list[Alignment] = []
+    running: Alignment | None = None
+    for _, _, m in reader.read(["/nav/alignment"]) if holds(reader, "/nav/alignment") else ():
+        stamp = to_ns(m.header.stamp)
+        one = Alignment(m.method, m.text, "aligned by " in m.text, stamp - round(m.elapsed * 1e9), stamp)
+        if one.aligned or "alignment failed" in m.text or "alignment cancelled" in m.text:
+            found.append(one)
+            running = None
+        elif m.phase in (0, 1, 2):  # STANDBY, COARSE, FINE
+            running = one
+        elif found and found[-1].aligned:
+            found[-1] = dataclasses.replace(found[-1], settle_s=float(m.settle_time))
+    return found + ([running] if running is not None else [])
 
 
 def _covariance(reader: BagReader, settled: Track) -> Floats | None:

@@ -52,9 +52,8 @@ class Lane:
         self.events: list[NavEvent] = []
         self.calibrations: list[Calibration] = []
         self.alignment: list[AlignmentStatus] = []
-        self._reports: list[AlignmentReport] = []
-        self._ended: list[AlignmentReport] = []
-        self._settle_s = -1.0
+        self._report: AlignmentReport | None = None
+        self._ended: list[Alignment] = []
         self._watch = SettleWatch(navigator.config)
         self._calibrator = Calibrator(navigator.config)
         self._tracks: list[Track] = []
@@ -86,10 +85,10 @@ class Lane:
         self.calibrations = self._calibrator.take(self.solutions)
         reports = self.navigator.drain_alignment()
         self.alignment = self._watch.take(reports, self.solutions)
-        self._reports = [*self._reports[-1:], *reports]
-        self._ended += [report for report in reports if report.ended]
-        if self.alignment:
-            self._settle_s = self.alignment[-1].settle_s
+        self._report = reports[-1] if reports else self._report
+        self._ended += [_alignment(report) for report in reports if report.ended]
+        if self.alignment and self._ended and self._ended[-1].aligned:
+            self._ended[-1] = dataclasses.replace(self._ended[-1], settle_s=self.alignment[-1].settle_s)
         if self.solutions:
             self._tracks.append(blocks.track_of(self.solutions))
             self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))
@@ -107,12 +106,10 @@ class Lane:
         return join_tracks(self._tracks)
 
     @property
-    def last_alignment(self) -> Alignment | None:
-        """The last alignment, None where there was none."""
-        if not self._reports:
-            return None
-        last = self._ended[-1] if self._ended else self._reports[-1]
-        return Alignment(last.method, last.text, last.ended == "aligned", last.begin_ns, last.stamp_ns, self._settle_s)
+    def alignments(self) -> list[Alignment]:
+        """Alignments that have ended, and the one that has not."""
+        running = self._report is not None and not self._report.ended
+        return self._ended + ([_alignment(self._report)] if running and self._report is not None else [])
 
     @property
     def covariance(self) -> Floats:
@@ -133,6 +130,10 @@ class Lane:
     def judged_arrays(self) -> dict[str, Judged]:
         """Innovations by subfilter."""
         return {name: judged_arrays(entries) for name, entries in self._judged.items()}
+
+
+def _alignment(report: AlignmentReport) -> Alignment:
+    return Alignment(report.method, report.text, report.ended == "aligned", report.begin_ns, report.stamp_ns)
 
 
 class FusionLog:

@@ -87,7 +87,8 @@ def navigate(
     bag_out : directory to write; None: nothing is written. Aids, initial states, commands, truth, faults are copied: it can be scored alone
     record : nav, raw (copies /rimu/raw too) or all, see recording.RECORDS
     progress : called with (recorded seconds done, seconds in all)
-    overrides : settings that replace the recorded ones: {"navigator": {"gps": {"enabled": False}}}
+    overrides : settings that replace the recorded ones: {"navigator": {"gps": {"enabled": False}}}; where they name an alignment method, initial
+        states of the recording are left alone
     namespace : of the recorded topics, taken off in the new bag; None: the one there is
 
     Returns
@@ -108,7 +109,8 @@ def navigate(
         configuration = read_configuration(reader, overrides)
         if not holds(reader, RAW_IMU):
             raise RecordError(f"{bag_in} has no {RAW_IMU}: there is nothing to navigate from")
-        run = _Run(reader, configuration, frozenset((overrides or {}).get("fusion", {})))
+        aligned = (overrides or {}).get("navigator", {}).get("alignment", {}).get("method", "none") != "none"
+        run = _Run(reader, configuration, frozenset((overrides or {}).get("fusion", {})), aligned)
         if bag_out is None or record == "none":
             return run.through(None, progress)
         with RunWriter(bag_out, record) as writer:
@@ -118,8 +120,9 @@ def navigate(
 class _Run:
     """One bag on its way through fusion and navigator."""
 
-    def __init__(self, reader: BagReader, configuration: RunConfiguration, overridden: frozenset[str]) -> None:
+    def __init__(self, reader: BagReader, configuration: RunConfiguration, overridden: frozenset[str], aligned: bool = False) -> None:
         self.reader, self.configuration, self._overridden = reader, configuration, overridden
+        self._aligned = aligned  # the caller wants it to find the state that it is given in the recording
         self.pipeline = reporting_pipeline(configuration.fusion)
         self._aids: dict[str, list[AidInput]] = {}
         for source in inputs(configuration.navigator.aid):
@@ -144,7 +147,8 @@ class _Run:
         began = time.perf_counter()
         if writer is not None:
             writer.configuration(with_settings(self.configuration), self.reader.start_ns)
-            writer.copy(self.reader, dict.fromkeys((*RAW_TOPICS, *self._aids)), drop=(METHOD_TOPIC,) if writer.raw else (RAW_IMU, METHOD_TOPIC))
+            drop = (METHOD_TOPIC, *(() if writer.raw else (RAW_IMU,)), *((INITIAL_TOPIC,) if self._aligned else ()))
+            writer.copy(self.reader, dict.fromkeys((*RAW_TOPICS, *self._aids)), drop=drop)
             if METHOD_TOPIC not in self.reader.topics:
                 writer.method(0, self.pipeline.selected(), self.reader.start_ns)
         total = self.reader.duration_s
@@ -170,7 +174,8 @@ class _Run:
 
     def _windows(self) -> Iterator[tuple[int, _Window]]:
         names = ("header.stamp", "sequence", "gyro", "accel", "gyro_valid", "accel_valid")
-        others_from = [t for t in (*self._aids, INITIAL_TOPIC, MASTER_TOPIC) if t in self.reader.topics]
+        initial = () if self._aligned else (INITIAL_TOPIC,)
+        others_from = [t for t in (*self._aids, *initial, MASTER_TOPIC) if t in self.reader.topics]
         commands_from = [t for t in (COMMAND_TOPIC, ALIGN_TOPIC, METHOD_TOPIC) if t in self.reader.topics]
         heard = [(log_ns, self._command(topic, m)) for topic, log_ns, m in self.reader.read(commands_from)] if commands_from else []
         # a busy recorder may hear of a command long after the sample it holds from: its own stamp counts if it is earlier
@@ -298,7 +303,7 @@ class _Run:
     def _record(self, seconds: float) -> RunRecord:
         lane, reader, configuration = self.lane, self.reader, self.configuration
         settled = lane.track
-        if not len(settled) and not self._alone and lane.last_alignment is None:
+        if not len(settled) and not self._alone and not lane.alignments:
             delay = configuration.navigator.max_delay_s
             raise RecordError(f"{reader.path}: the navigator never started; is the initial state within {delay:g} s of an IMU sample?")
         start_ns = run_start(reader, configuration, settled)
@@ -317,7 +322,7 @@ class _Run:
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
-            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignment=lane.last_alignment,
+            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignments=lane.alignments,
         )  # fmt: skip
 
 

@@ -221,13 +221,13 @@ class Samples:
 
 @dataclasses.dataclass(frozen=True)
 class Alignment:
-    """The last alignment of a run.
+    """One alignment.
 
     Attributes
     ----------
-    method, text : of its last status
+    method, text : of its last report
     aligned : it ended in a state
-    began_ns, ended_ns : of its first and last status
+    began_ns, ended_ns : of its beginning and its last report
     settle_s : from its beginning until the heading given out had settled; negative: it did not
     """
 
@@ -236,7 +236,7 @@ class Alignment:
     aligned: bool
     began_ns: int
     ended_ns: int
-    settle_s: float
+    settle_s: float = -1.0
 
 
 @dataclasses.dataclass
@@ -269,7 +269,7 @@ class RunRecord:
     notes : what the reader must know (simulated aids, unknown things)
     drift : (2, n), removed from each gyro [rad/s] and accelerometer [m/s^2] at the end of the run, None when not known
     ended_ns : stamp of the last IMU sample, 0: not known; for a run that was fused but not navigated
-    alignment : how the navigator found its attitude; None: a state was given, or the run does not say
+    alignments : how the navigator found its attitude, each time; empty: a state was given, or the run does not say
     """
 
     name: str
@@ -296,7 +296,7 @@ class RunRecord:
     notes: list[str] = dataclasses.field(default_factory=list)
     drift: Floats | None = None
     ended_ns: int = 0
-    alignment: Alignment | None = None
+    alignments: list[Alignment] = dataclasses.field(default_factory=list)
 
     @property
     def start_ns(self) -> int:
@@ -324,5 +324,6 @@ class RunRecord:
             judged={k: j.take((j.stamp_ns >= start_ns) & (j.stamp_ns <= stop_ns)) for k, j in self.judged.items()},
             health=[c for c in self.health if start_ns <= c.stamp_ns <= stop_ns],
             faults=[f for f in self.faults if f.start_ns <= stop_ns and f.end_ns > start_ns],
+            alignments=[a for a in self.alignments if start_ns <= a.ended_ns <= stop_ns],
             samples=Samples(), pieces=[], expect={}, origin_ns=start_ns, drift=None, ended_ns=min(self.ended_ns, stop_ns),
         )  # fmt: skip

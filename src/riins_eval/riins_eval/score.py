@@ -195,9 +195,9 @@ def _numbers(record: RunRecord) -> Score:
 
 def _alignment(record: RunRecord) -> Score | None:
     """How the attitude was found; the heading error is that of the first settled epoch after."""
-    found = record.alignment
-    if found is None:
+    if not record.alignments:
         return None
+    found = record.alignments[-1]
     after = record.settled.stamp_ns >= found.ended_ns
     error = metrics.heading_error(record.settled.take(after), record.truth.take(after)) if found.aligned and after.any() else np.zeros(0)
     return {

@@ -120,7 +120,7 @@ class Aligner:
 
     def give_up(self, stamp_ns: int, why: str) -> AlignmentReport:
         """End without a result at somebody's word."""
-        return self._end(stamp_ns, (stamp_ns - self.command.stamp_ns) * 1e-9, "cancelled", why)
+        return self._end(stamp_ns, (stamp_ns - self.command.stamp_ns) * 1e-9, "cancelled", f"{why}; so far: {self._reason}")
 
     def _check_given(self) -> None:
         if self._settings.position:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.alignment.result import AlignmentError
+from riins_core.alignment.result import AlignmentError, settled_after
 from riins_core.alignment.stationary import ImuNoise
 from riins_core.alignment.stored import Aids
 from riins_core.rotation import euler_from_dcm
@@ -152,9 +152,16 @@ def run(seeds: int, quick: bool, progress: Progress, data: Path | None = None) -
     for piece, (with_log, with_gnss, _) in zip(pieces, results, strict=True):
         for name, found in (("log", with_log), ("simulated GNSS", with_gnss)):
             value = math.nan if found.refused else float(found.error[-1]) / DEG
-            words = found.refused or f"own sigma {found.sigma[-1] / DEG:.2f} after {found.t[-1]:.0f} s"
+            words = found.refused or f"own sigma {found.sigma[-1] / DEG:.2f} after {found.t[-1]:.0f} s; {_settled(piece, found)}"
             rows.append(Row(None, f"piece {piece.name}, {name}: heading, °", None, value, value, value, 1, None, words))
     return rows, [_figure(pieces, log)]
+
+
+def _settled(piece: Piece, found: Found) -> str:
+    """When the 95 % bound came to stay inside 0.75 deg sec(latitude), of the last pass over the data."""
+    limit = 0.75 * DEG / math.cos(float(piece.truth[0, 1]))
+    after = settled_after(found.t, found.sigma, limit, 1.96)
+    return f"settled (A.821) after {after:.0f} s" if math.isfinite(after) else "not settled (A.821)"
 
 
 def _figure(pieces: list[Piece], found: list[Found]) -> Figure:
