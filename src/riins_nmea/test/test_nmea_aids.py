@@ -193,20 +193,30 @@ def test_other_sentences_and_other_talkers_are_no_fault() -> None:
 
 
 def test_readers_of_the_navigator_take_what_comes_out() -> None:
-    """The third component that was not measured stays NaN and its covariance is whole."""
+    """Position, ground velocity, log and heading come back as numbers of the algorithms; what was not measured stays NaN and spreads nowhere."""
 
     class Message:
         def __init__(self, fields):
             for name, value in fields.items():
                 setattr(self, name, Message(value) if isinstance(value, dict) else value)
 
+    def read(reader_of, fields):
+        fields["header"]["stamp"] = {"sec": NOON // 10**9, "nanosec": 0}
+        return reader_of(Message(fields))
+
     one = reader()
-    (log,) = (r for r in one.read(line("VDVBW,,,V,6.0,2.0,A,,V,,V"), NOON) if r.aid == "log")
-    fields = messages.body_velocity(log, "doppler_link")
-    fields["header"]["stamp"] = {"sec": NOON // 10**9, "nanosec": 0}
-    read = readings.read_doppler(Message(fields))
-    np.testing.assert_allclose(read["z"][:2], np.array([6.0, 2.0]) * 1852 / 3600)
-    assert read["stamp_ns"] == NOON and np.isnan(read["z"][2]) and read["R"][0, 0] == pytest.approx(0.05**2)
+    got = {r.aid: r for text in (GGA, RMC, "VDVBW,,,V,6.0,2.0,A,,V,,V", "HETHS,300.0,A") for r in one.read(line(text), NOON)}
+    fix = read(readings.read_position_aid, messages.nav_sat_fix(got["position"], "gps_link"))
+    assert fix["ok"] and fix["z"] == pytest.approx(got["position"].z, abs=1e-12) and np.diag(fix["R"]) == pytest.approx([36.0, 36.0, 144.0])
+    ground = read(readings.read_velocity, messages.ground_velocity(got["velocity"], "map"))
+    assert ground["z"][:2] == pytest.approx([0.0, 10.0 * 1852 / 3600], abs=1e-12) and np.isnan(ground["z"][2])
+    log = read(readings.read_doppler, messages.body_velocity(got["log"], "doppler_link"))
+    assert log["z"][:2] == pytest.approx(np.array([6.0, 2.0]) * 1852 / 3600) and np.isnan(log["z"][2]) and log["R"][0, 0] == pytest.approx(0.05**2)
+    heading = messages.heading_pose(got["heading"], "map")
+    heading["pose"]["pose"]["orientation"] |= {"x": 0.0, "y": 0.0}
+    compass = read(readings.read_heading, heading)
+    assert math.remainder(float(compass["z"][0]) - math.radians(300.0), 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert compass["stamp_ns"] == NOON and compass["R"][0, 0] == pytest.approx(math.radians(0.5) ** 2)
 
 
 @pytest.mark.parametrize(
