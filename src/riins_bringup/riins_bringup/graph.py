@@ -302,8 +302,8 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "navigator",
             "consumer",
             {**flatten(as_mapping(navigator)), **(datum or {})},
-            subscribes=("imu/fused", "nav/initial_state", "nav/commands", *aids),
-            publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters"),
+            subscribes=("imu/fused", "nav/initial_state", "nav/commands", "nav/align", *aids),
+            publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters", "nav/alignment"),
         ),
     ]
     nodes += _bridge(settings)
