@@ -45,12 +45,12 @@ class AidInput:
 
 
 def inputs(aids: Mapping[str, AidSettings]) -> list[AidInput]:
-    """Inputs of the aids that are enabled, in their order."""
+    """Inputs of the aids that are enabled and come in messages, in their order."""
     found = []
     for name, settings in aids.items():
         model = AID_MODELS[settings.type]
         word = getattr(settings, "message", next(iter(model.inputs)))
-        if settings.enabled:
+        if settings.enabled and not getattr(settings, "detect", False):
             found.append(AidInput(name, settings.topic or f"{name}/{model.leaf}", model.inputs[word], round(settings.delay_s * 1e9)))
     return found
 

@@ -20,6 +20,7 @@ from .alignment_desk import AlignmentDesk
 from .config import NavigatorConfig
 from .integrated_filter import IntegratedFilter
 from .logbook import Logbook
+from .standstill import Standstill
 from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, next_due, to_ns
 from .types import Aid, Array, InitialState, Judged, Reason, Recall, UseCommand
 
@@ -42,6 +43,7 @@ class OrderedRun:
         self._initials: list[InitialState] = []
         self._log = Logbook()
         self._desk = AlignmentDesk(config)
+        self._standstill = Standstill(config)
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
         self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
@@ -72,6 +74,9 @@ class OrderedRun:
         if not self._filter.running:
             self._desk.begin(int(stamp_ns[0]), self._queue.waiting())
         self._desk.append(stamp_ns, rate, force, rate_covariance, force_covariance)
+        for aid in self._standstill.take(stamp_ns, rate, force, dt):
+            self._queue.add(aid.stamp_ns, self._rank[aid.name], aid)
+            self._go_back(aid.stamp_ns)
         self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
 
     def _queue_recalls(self, stamp_ns: NDArray[np.int64], recalls: Sequence[Recall]) -> Sequence[Recall]:
@@ -91,6 +96,7 @@ class OrderedRun:
         self._filter.stop()
         self._clear()
         self._desk.new_run(stamp_ns)
+        self._standstill.new_run()
         self._last_ns = self._last_sequence = None
         self.restarts += 1
         for stamp, rank, item in waiting:

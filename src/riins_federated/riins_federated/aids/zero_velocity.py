@@ -1,7 +1,7 @@
-"""That the vehicle stands: each message of a source that knows says so for its stamp.
+"""That the vehicle stands: each message of a source that knows says so for its stamp, or the IMU shows it.
 
 Lives here: `ZeroVelocity`.
-Does not live here: how that is known (brake, handling of a dock, a detector of its own).
+Does not live here: how the IMU shows it (standstill.py).
 """
 
 from __future__ import annotations
@@ -20,11 +20,14 @@ from ..types import Aid, Array
 
 @dataclass(frozen=True)
 class ZeroVelocitySettings(LeverSettings):
-    """A source that says when the vehicle stands; the lever arm is that of the point that stands."""
+    """When the vehicle stands; the lever arm is that of the point that stands."""
 
     type: str = setting("zero_velocity", "kind of aid", choices=("zero_velocity",))
     sigma_mps: float = setting(0.02, "sigma of each axis where the message gives none: what standing leaves of motion", "m/s", 1e-6, 10.0)
     sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 10.0)
+    detect: bool = setting(False, "by the IMU, in windows of period_s, instead of messages; for vehicles that vibrate when they move, not for ships")
+    miss_probability: float = setting(1e-3, "probability that a window in which the vehicle stands is not taken for one", "", 1e-9, 0.5)
+    vibration: float = setting(1.0, "noise of the IMU while it stands, as with its engine on, over that of section inertial", "", 0.1, 1000.0)
 
 
 class ZeroVelocity(AidModel[ZeroVelocitySettings]):
