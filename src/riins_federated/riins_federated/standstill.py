@@ -34,8 +34,8 @@ class Standstill:
     Notes
     -----
     Sum of the squared deviations from the window's mean over the white noise of a sample, rates and forces together: chi-square with 6 (m - 1)
-    degrees of freedom for a vehicle that stands, its threshold that of `miss_probability`. Steady motion without vibration looks the same: it is for the
-    innovation test of the aid to refuse that, which it can while something else tells the velocity.
+    degrees of freedom for a vehicle that stands, its threshold that of `miss_probability`. Steady motion without vibration looks the same: it is for
+    the innovation test of the aid to refuse that, which it can while something else tells the velocity.
     """
 
     def __init__(self, config: NavigatorConfig) -> None:
