@@ -190,12 +190,13 @@ def judged_arrays(entries: list[Any]) -> Judged:
 
 
 def fault_intervals(faults: Any, start_at_ns: int, stop_ns: int) -> list[FaultInterval]:
-    """riins_sim faults, whose times count from `start_at_ns`, as intervals that end at `stop_ns` at the latest."""
+    """riins_sim faults, whose times count from `start_at_ns`, as intervals; one without an end ends at `stop_ns`, one that begins later never was."""
     return [
         FaultInterval(
             f.target, FAULT_TYPES[int(f.type)], start_at_ns + f.start_ns, stop_ns if f.end_ns is None else start_at_ns + f.end_ns, size_text(f)
         )
         for f in faults
+        if start_at_ns + f.start_ns < stop_ns
     ]
 
 
