@@ -12,6 +12,7 @@ import numpy as np
 
 from riins_fdi.innovation import nis_threshold
 
+from .stacked import Rows
 from .types import Array
 
 CLIP = 6.0
@@ -35,8 +36,8 @@ class InertialEvidence:
 
     def __init__(self, masters: int, aids: int, memory: float) -> None:
         self._keep = float(np.exp(-1.0 / memory))
-        self._mean = np.zeros((masters, aids, 3))
-        self._width = np.zeros(aids, np.int64)
+        self._mean: Array = np.zeros((masters, aids, 3))
+        self._width: Rows = np.zeros(aids, np.int64)
 
     def learn(self, index: int, rows: Iterable[int], standardized: Array) -> None:
         """Take standardized innovations (k, m) of an aid against the masters `rows`."""
@@ -59,10 +60,11 @@ class InertialEvidence:
         """A master becomes what another is."""
         self._mean[target] = self._mean[source]
 
-    def snapshot(self) -> tuple[Array, Array]:
+    def snapshot(self) -> tuple[Array, Rows]:
         """Copies of everything."""
         return self._mean.copy(), self._width.copy()
 
-    def restore(self, snapshot: tuple[Array, Array]) -> None:
+    def restore(self, snapshot: tuple[Array, Rows]) -> None:
         """Go back to a snapshot, which stays usable."""
-        self._mean, self._width = (part.copy() for part in snapshot)
+        mean, width = snapshot
+        self._mean, self._width = mean.copy(), width.copy()

@@ -41,8 +41,9 @@ def shortened(name: str, quick: bool, **navigator: Any) -> Scenario:
     scenario = dataclasses.replace(scenario, navigator=merged(scenario.navigator, navigator))
     if not quick:
         return scenario
-    kept = {what: tuple(one for one in getattr(scenario, what) if one.start_s < SHORT_S) for what in ("faults", "outages")}
-    return dataclasses.replace(scenario, duration_s=SHORT_S, expect={}, **kept)
+    faults = tuple(one for one in scenario.faults if one.start_s < SHORT_S)
+    outages = tuple(one for one in scenario.outages if one.start_s < SHORT_S)
+    return dataclasses.replace(scenario, duration_s=SHORT_S, expect={}, faults=faults, outages=outages)
 
 
 def numbers(result: RunResult) -> dict[str, float]:
@@ -68,8 +69,13 @@ def numbers(result: RunResult) -> dict[str, float]:
 
 def heading_sigma(record: RunRecord) -> Array:
     """Own sigma of the heading at each settled epoch, arcmin."""
-    at = metrics.NEES7.index(State.PHI_D)
-    return np.asarray(np.sqrt(record.covariance[:, at, at]) / ARCMIN)
+    at, covariance = metrics.NEES7.index(State.PHI_D), np.asarray(record.covariance)
+    return np.asarray(np.sqrt(covariance[:, at, at]) / ARCMIN)
+
+
+def hours_of(record: RunRecord) -> Array:
+    """Time of each settled epoch since the start, h."""
+    return np.asarray((record.settled.stamp_ns - (record.origin_ns or 0)) / 3.6e12)
 
 
 def apart(one: RunRecord, other: RunRecord) -> tuple[float, float]:
@@ -146,7 +152,7 @@ def figures(turning: RunRecord, straight: RunRecord) -> list[Figure]:
 
     def draw_errors(canvas: Any) -> None:
         axes = canvas.subplots(3, 1, sharex=True)
-        hours = (turning.settled.stamp_ns - turning.origin_ns) * 1e-9 / 3600.0
+        hours = hours_of(turning)
         errors = (
             np.hypot(*metrics.position_error(turning.settled, turning.truth)[:, :2].T),
             np.hypot(*(turning.settled.v_n - turning.truth.v_n)[:, :2].T),
@@ -160,14 +166,14 @@ def figures(turning: RunRecord, straight: RunRecord) -> list[Figure]:
         for ax, label in zip(axes, ("position, m", "velocity, m/s", "heading, arcmin"), strict=True):
             ax.set_ylabel(label)
             for fault in turning.faults:
-                ax.axvspan(*((t - turning.origin_ns) * 1e-9 / 3600.0 for t in (fault.start_ns, fault.end_ns)), color="#d55e00", alpha=0.3)
+                ax.axvspan(*((t - (turning.origin_ns or 0)) / 3.6e12 for t in (fault.start_ns, fault.end_ns)), color="#d55e00", alpha=0.3)
         axes[2].legend(loc="upper right")
         axes[2].set_xlabel("time, h; red: faults")
 
     def draw_sigma(canvas: Any) -> None:
         ax = canvas.subplots()
         for record, label, color in ((turning, "a turn every 1.5 h", "#0072b2"), (straight, "straight course", "#d55e00")):
-            ax.plot((record.settled.stamp_ns - record.origin_ns) * 1e-9 / 3600.0, heading_sigma(record), color=color, label=label)
+            ax.plot(hours_of(record), heading_sigma(record), color=color, label=label)
         ax.set(xlabel="time, h", ylabel="own sigma of the heading, arcmin", ylim=(0.0, None))
         ax.legend()
 

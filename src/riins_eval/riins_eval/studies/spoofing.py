@@ -50,7 +50,7 @@ def pulled(under_way: Voyage, names: Sequence[str], rate: float) -> Pull:
     right = [change.stamp_ns for change in isolated if change.target in names]
     delay = (min(right) - start) * 1e-9 if right else np.nan
     at = int(np.searchsorted(lane.track.stamp_ns, min(right))) if right else len(shift) - 1
-    seconds = (lane.track.stamp_ns - start) * 1e-9
+    seconds = np.asarray((lane.track.stamp_ns - start) * 1e-9, np.float64)
     wrong = any(change.target not in names for change in isolated)
     return Pull(delay, float(shift[min(at, len(shift) - 1)]), float(shift.max()), float(shift[-1]), seconds, shift, wrong)
 
