@@ -15,8 +15,8 @@ from .types import Array
 
 
 def equal_shares(n: int) -> Array:
-    """beta = 1/n for each of n local filters, shape (n,)."""
-    return np.full(n, 1.0 / n)
+    """beta = 1/n for each of n local filters, shape (n,); none where there is no aid."""
+    return np.full(n, 1.0 / max(n, 1))
 
 
 def checked_shares(beta: ArrayLike) -> Array:
