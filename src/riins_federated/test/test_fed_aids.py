@@ -16,7 +16,7 @@ from riins_core.frames import ned_offset
 from riins_core.rotation import dcm_from_euler, exp_so3, quat_from_dcm
 from riins_core.settings import SettingError, build
 from riins_federated.aid_inputs import inputs
-from riins_federated.aiding import AidModel, Pose, models_of, noise
+from riins_federated.aiding import AidModel, Pose, models_of, noise, white_inflation
 from riins_federated.aids import AID_MODELS, DEFAULT_AIDS, make
 from riins_federated.config import NavigatorConfig
 from riins_federated.inertial_model import InertialModel
@@ -265,6 +265,22 @@ def test_frame_and_fix() -> None:
     assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)), frame="base_link")) is Reason.FRAME
     assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)))) is Reason.NONE  # it did not come in a message
     assert model.defect(Aid("aid", 0, np.zeros(1), np.zeros((1, 1)), ok=False)) is Reason.NO_FIX
+
+
+@pytest.mark.parametrize(
+    ("kind", "sigma", "z"),
+    [("gnss_position", "m", 3), ("gnss_velocity", "mps", 3), ("body_velocity", "mps", 3), ("beam_velocity", "mps", 4), ("odometer", "mps", 1),
+     ("height", "m", 1), ("attitude", "deg", 4)],
+)  # fmt: skip
+def test_a_correlated_error_without_a_state_is_a_larger_white_noise(kind: str, sigma: str, z: int) -> None:
+    aid = measured(declared(kind, {})[0], np.array([0.0, 0.0, 0.0, 1.0])[-z:])
+    here = Pose(0.5, 0.1, 0.0, np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
+    covariances = []
+    for values in ({}, {f"markov_sigma_{sigma}": 0.5, "markov_time_s": 20.0, "period_s": 2.0}):
+        model, states = declared(kind, {**values, "misalignment_deg": 0.0} if kind in ("odometer", "body_velocity", "beam_velocity") else values)
+        covariances.append(model.measurement(aid, here, np.zeros(states.n - 9)).R[0, 0])
+    unit = np.radians(1.0) if sigma == "deg" else 1.0
+    assert covariances[1] - covariances[0] == pytest.approx(white_inflation(0.5 * unit, 20.0, 2.0))
 
 
 def test_a_heading_is_compared_around_the_circle_whatever_roll_and_pitch() -> None:

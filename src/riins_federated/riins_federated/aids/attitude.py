@@ -15,7 +15,7 @@ from riins_core.rotation import dcm_from_euler, dcm_from_quat, exp_so3, log_so3
 from riins_core.settings import setting
 from riins_node.readings import read_attitude
 
-from ..aiding import AidModel, AidSettings, Input, Measurement, Pose, noise, reported_covariance_ok, skew
+from ..aiding import AidModel, AidSettings, Input, Measurement, Pose, noise, reported_covariance_ok, skew, white_inflation
 from ..state_blocks import Block
 from ..types import Aid, Array
 
@@ -27,6 +27,8 @@ class AttitudeAidSettings(AidSettings):
     type: str = setting("attitude", "kind of aid", choices=("attitude",))
     sigma_deg: tuple[float, ...] = setting((0.01, 0.01, 0.01), "sigma about north, east, down where none is reported", "deg", 1e-7, 180.0, length=3)
     sigma_floor_deg: float = setting(0.0, "a smaller reported sigma is raised to this", "deg", 0.0, 180.0)
+    markov_sigma_deg: float = setting(0.0, "correlated error of each angle, worked in by a larger white noise", "deg", 0.0, 180.0)
+    markov_time_s: float = setting(60.0, "its correlation time", "s", 0.1, 1e6)
     mounting_rpy_deg: tuple[float, ...] = setting((0.0, 0.0, 0.0), "roll, pitch, yaw of the sensor in the body", "deg", -360.0, 360.0, length=3)
     misalignment_deg: float = setting(0.0, "sigma of each mounting angle that is not known, three states; 0: known", "deg", 0.0, 20.0)
 
@@ -41,6 +43,7 @@ class Attitude(AidModel[AttitudeAidSettings]):
         super().__init__(name, settings, size=4, rows=slice(0, 4))
         self.C_bs = dcm_from_euler(*np.radians(settings.mounting_rpy_deg))
         self.sigma = np.radians(settings.sigma_deg)
+        self.extra = white_inflation(float(np.radians(settings.markov_sigma_deg)), settings.markov_time_s, settings.period_s) * np.eye(3)
 
     def own(self) -> list[Block]:
         """Mounting angles, a rotation about the body axes."""
@@ -57,7 +60,7 @@ class Attitude(AidModel[AttitudeAidSettings]):
         if "mounting" in self.at:
             turn = skew(mounting)  # left Jacobian of the rotation, whose angle is small
             H[:, self.at["mounting"]] = -pose.C_nb @ (np.eye(3) + turn / 2.0 + turn @ turn / 6.0)
-        return Measurement(z, H, noise(aid.R, self.sigma, float(np.radians(self.settings.sigma_floor_deg))))
+        return Measurement(z, H, noise(aid.R, self.sigma, float(np.radians(self.settings.sigma_floor_deg))) + self.extra)
 
     def plausible(self, z: Array) -> bool:
         """A quaternion that can be normalised."""

@@ -13,7 +13,7 @@ import numpy as np
 from riins_core.settings import SettingError, setting
 from riins_node.readings import read_dvl_beams
 
-from ..aiding import Input, Measurement, Pose, noise
+from ..aiding import Input, Measurement, Pose, noise, white_inflation
 from ..types import Aid, Array
 from .body_velocity import MountedModel, MountedSettings
 
@@ -28,6 +28,8 @@ class BeamVelocitySettings(MountedSettings):
     beam_sign: float = setting(1.0, "1: a velocity is positive when the log moves along its beam; -1: the other way", "", -1.0, 1.0)
     sigma_mps: float = setting(0.05, "sigma of a beam where the message gives none", "m/s", 1e-6, 100.0)
     sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
+    markov_sigma_mps: float = setting(0.0, "correlated error of each beam, worked in by a larger white noise", "m/s", 0.0, 100.0)
+    markov_time_s: float = setting(60.0, "its correlation time", "s", 0.1, 1e6)
 
     def __post_init__(self) -> None:
         if abs(self.beam_sign) != 1.0:
@@ -46,6 +48,7 @@ class BeamVelocity(MountedModel[BeamVelocitySettings]):
         azimuth, angle = np.radians(settings.beam_azimuth_deg), np.radians(settings.beam_angle_deg)
         beams = len(azimuth)
         super().__init__(name, settings, size=beams, rows=slice(0, beams))
+        self.extra = white_inflation(settings.markov_sigma_mps, settings.markov_time_s, settings.period_s)
         across, down = np.sin(angle), np.full(beams, np.cos(angle))
         self.beams = settings.beam_sign * np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), down])
 
@@ -60,7 +63,7 @@ class BeamVelocity(MountedModel[BeamVelocitySettings]):
             H[:, self.at["scale"].start] = -along @ seen.v
         reported = np.diag(np.diag(aid.R)[good])
         R = noise(reported, np.full(len(along), self.settings.sigma_mps), self.settings.sigma_floor_mps)
-        return Measurement(aid.z[good] - gain * (along @ seen.v), H, R)
+        return Measurement(aid.z[good] - gain * (along @ seen.v), H, R + self.extra * np.eye(len(along)))
 
     def plausible(self, z: Array) -> bool:
         """At least one beam sees the bottom."""

@@ -13,7 +13,7 @@ import numpy as np
 from riins_core.settings import SettingError, setting
 from riins_node.readings import read_odometer
 
-from ..aiding import Input, Measurement, Pose
+from ..aiding import Input, Measurement, Pose, white_inflation
 from ..types import Aid, Array
 from .body_velocity import MountedModel, MountedSettings
 
@@ -25,6 +25,8 @@ class OdometerSettings(MountedSettings):
     type: str = setting("odometer", "kind of aid", choices=("odometer",))
     sigma_mps: float = setting(0.1, "sigma of the speed where the message gives none", "m/s", 1e-6, 100.0)
     sigma_floor_mps: float = setting(0.0, "a smaller reported sigma is raised to this", "m/s", 0.0, 100.0)
+    markov_sigma_mps: float = setting(0.0, "correlated error of the speed (slip), worked in by a larger white noise", "m/s", 0.0, 100.0)
+    markov_time_s: float = setting(10.0, "its correlation time", "s", 0.1, 1e6)
     axle_m: tuple[float, ...] = setting(
         (),
         "where the vehicle does not move sideways and off the road: the axle that does not steer, from the IMU; empty: at the lever arm",
@@ -49,6 +51,7 @@ class Odometer(MountedModel[OdometerSettings]):
     def __init__(self, name: str, settings: OdometerSettings) -> None:
         super().__init__(name, settings, size=1, rows=slice(0, 1))
         self.axes = np.array([0, *([1] if settings.sideways_mps else []), *([2] if settings.down_mps else [])])
+        self.extra = white_inflation(settings.markov_sigma_mps, settings.markov_time_s, settings.period_s)
         self.axle = np.array(settings.axle_m) if settings.axle_m else None
         self.sigma = np.array([settings.sigma_mps, settings.sideways_mps, settings.down_mps])
 
@@ -68,7 +71,7 @@ class Odometer(MountedModel[OdometerSettings]):
             H[0, self.at["scale"].start] = -v[0]
         told = np.diag(aid.R)
         variance = np.where(told > 0.0, told, self.sigma**2)
-        variance[0] = max(variance[0], self.settings.sigma_floor_mps**2)
+        variance[0] = max(variance[0], self.settings.sigma_floor_mps**2) + self.extra
         measured = np.array([aid.z[0], 0.0, 0.0])
         return Measurement((measured - gain * v)[self.axes], H, np.diag(variance[self.axes]))
 
