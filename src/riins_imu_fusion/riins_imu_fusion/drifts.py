@@ -35,10 +35,17 @@ class Drifts:
     def fresh(self) -> K.DriftState:
         """Memory before the first sample."""
         state = K.DriftState.of(self._models[0].array.n)
-        for kind, model in enumerate(self._models):
-            state.vec[kind, (K.STEP, K.WALK)] = model.Q
-            state.P[kind] = state.kept[kind] = np.diag(model.P)
+        for kind in range(2):
+            self.forget(state, kind)
         return state
+
+    def forget(self, state: K.DriftState, kind: int) -> None:
+        """A sensor leaves: its fault has moved the drifts of the others too, where no parity will ever show it."""
+        model = self._models[kind]
+        state.vec[kind] = 0.0
+        state.vec[kind, (K.STEP, K.WALK)] = model.Q
+        state.P[kind] = state.kept[kind] = np.diag(model.P)
+        state.past[kind] = 0.0
 
     def begin(self, state: K.DriftState, kind: int, index: int) -> None:
         """A sensor comes back into use: what was known of its drift is forgotten."""

@@ -125,6 +125,8 @@ class Methods:
         self.rfdc.begin(kind)
         if in_use:
             self.drifts.begin(state.drift, kind, index)
+        else:
+            self.drifts.forget(state.drift, kind)
 
     def compensate(self, state: K.State) -> None:
         """Say what rfdc or irfdc takes out of the sample at hand."""

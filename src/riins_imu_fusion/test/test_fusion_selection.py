@@ -200,6 +200,23 @@ def test_a_sensor_that_returns_begins_anew() -> None:
     assert abs(block.gyro_drift[back, 0]) < 3.0 * feed.sigma[0, 0] and abs(pipeline.drift[0, 0]) < feed.sigma[0, 0]
 
 
+@pytest.mark.parametrize("name", ["opt", "aopt", "optdc"])
+def test_what_a_fault_did_to_the_drifts_of_the_others_goes_with_it(name: str) -> None:
+    """Law 4: the part of it that lies in the range of H would stay in the fused rate for good, for no parity shows it."""
+    s = FusionConfig().gyro_sigma[0]
+    config = replace(CONFIG, method=name, drift=DriftSettings(gyro_sigma=(3.0 * s,), gyro_walk=(1.0 * s,)))
+    feed, pipeline = Feed(2500, config), FusionPipeline(config)
+    feed.gyro[300:, 1] += 2.0 * s * np.arange(2200) / 100.0
+    block = feed.into(pipeline)
+    _, index, out = isolated(pipeline)[0]
+    assert index == 1 and 500 < out < 1500
+    assert np.abs(block.gyro_drift[out - 2, [0, 2, 3, 4, 5]]).max() > 1.0 * s
+    plain = FusionPipeline(CONFIG)
+    plain.set_sensor_use("gyro_1", False)
+    apart = (block.rate - feed.into(plain).rate)[out + 5 :]
+    assert np.linalg.norm(apart.mean(axis=0)) < 0.6 * s
+
+
 def exact(status: FdiStatus) -> list[object]:
     """A status with its floats as bytes."""
     fields: list[object] = [status.stamp_ns, status.text, status.counters]
