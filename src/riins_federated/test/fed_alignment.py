@@ -80,6 +80,9 @@ def config(alignment: dict[str, object], **over: object) -> NavigatorConfig:
         "height": {"mean_m": 5.0},
         "alignment": {"attempt_s": 30.0, **alignment},
     }  # fmt: skip
+    for name in ("gps", "bds", "doppler"):
+        if name not in over.get("aids", ("gps", "bds", "doppler")):  # type: ignore[operator]
+            del base[name]
     return build(NavigatorConfig, {**base, **over})
 
 

@@ -296,3 +296,34 @@ def test_transfer_from_a_master() -> None:
     assert last.ended == "aligned" and last.initial is not None, [r.text for r in reports if r.text]
     assert np.abs(scaled(s, last.initial)).max() < 4.0 and np.max(last.initial.sigma_attitude[:2]) < 0.05 * DEG
     assert navigator.drain_settled()[-1].validity[2] is Validity.VALID
+
+
+def declared(s: Ship, lever: tuple[float, float, float]) -> list[Aid]:
+    """A compass that reads 5 deg too much and a GNSS velocity at an antenna of a ship, once a second."""
+    rng, aids = np.random.default_rng(9), []
+    for t in range(1, int((s.stamp[-1] - START) // SECOND)):
+        truth = s.truth(START + t * SECOND)
+        heading = float(euler_from_dcm(truth.C_nb)[2][0]) + 5.0 * DEG + 0.2 * DEG * rng.standard_normal()
+        v = truth.v_n[0] + truth.C_nb[0] @ np.cross(truth.rate_nb_b[0], lever) + 0.05 * rng.standard_normal(3)
+        aids += [Aid("compass", START + t * SECOND, np.array([heading]), np.array([[(0.2 * DEG) ** 2]]))]
+        aids += [Aid("receiver", START + t * SECOND, v, 0.05**2 * np.eye(3))]
+    return aids
+
+
+@pytest.mark.parametrize("method", ["in_motion", "known_heading"])
+def test_declared_aids_serve(method: str) -> None:
+    """A heading sensor gives the known heading, GNSS velocity takes the place of the log, at its lever arm."""
+    s, lever = ship(**WAY), (-8.0, 1.0, -10.0)
+    more = {
+        "aids": ["gps", "compass", "receiver"],
+        "compass": {"type": "heading", "offset_deg": 5.0},
+        "receiver": {"type": "gnss_velocity", "lever_arm_m": lever},
+    }
+    base = config({"method": method, "data_s": 150.0}, **more)
+    fixes = [a for a in s.aids if a.name == "gps"]
+    navigator = feed(Navigator(base), s, sorted([*fixes, *declared(s, lever)], key=lambda a: a.stamp_ns))
+    reports = navigator.drain_alignment()
+    last = reports[-1]
+    assert last.ended == "aligned" and last.initial is not None, [r.text for r in reports if r.text]
+    assert np.abs(scaled(s, last.initial)).max() < 4.0
+    assert last.initial.sigma_attitude[2] < (0.6 if method == "in_motion" else 0.2) * DEG
