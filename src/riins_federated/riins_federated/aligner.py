@@ -102,8 +102,10 @@ class Aligner:
             since = f"since {(recall.stamp_ns - recall.onset_ns) * 1e-9:.1f} s"
             self._tell(
                 f"taken out of the stored data what isolated inertial sensors had put in {since}" if done
-                else "an inertial sensor isolated, whose fault began before the alignment: what it put in stays"
+                else "an inertial sensor isolated whose fault began before the alignment: the data so far are not used"
             )  # fmt: skip
+            if not done and self._C is not None:
+                self._C, self._phase = None, Phase.COARSE
         try:
             self._check_given()
             found = self._try(now, elapsed) if elapsed + 1e-9 >= self._next_s else None
@@ -129,15 +131,16 @@ class Aligner:
     def _try(self, now: int, elapsed: float) -> Found | None:
         """One attempt; the result once it may be handed over."""
         settings = self._settings
+        held = (now - self.data.floor_ns) * 1e-9
         first = min(settings.attempt_s, settings.data_s or math.inf, DATA_S.get(self._method, math.inf))
-        if elapsed + 1e-9 < first:
-            self._next_s = first
+        if held + 1e-9 < first:
+            self._next_s = elapsed + first - held
             raise TooSoon(f"{first:g} s of data are waited for")
         self._choose(now)
         wanted = settings.data_s or DATA_S[self._method]
-        ready = elapsed + 1e-9 >= wanted
-        steps = math.floor(elapsed / settings.attempt_s + 1e-9) + 1
-        self._next_s = steps * settings.attempt_s if ready else min(steps * settings.attempt_s, wanted)
+        ready = held + 1e-9 >= wanted
+        steps = math.floor(held / settings.attempt_s + 1e-9) + 1
+        self._next_s = elapsed - held + (steps * settings.attempt_s if ready else min(steps * settings.attempt_s, wanted))
         try:
             found = attempt(self._method, self._task, now, self._motion)
         except TooSoon:
@@ -192,6 +195,9 @@ class Aligner:
             return
         if self._phase is Phase.STANDBY:
             self._phase = Phase.COARSE
+        seen = fixes(self._task.known, self.data, now)
+        if seen is not None:
+            self._place = seen.place[-1]
         f = window.force.mean(axis=0)
         g = float(gravity(0.7, 0.0))
         scatter = float(np.max(window.force.std(axis=0)[:2])) / g

@@ -61,10 +61,14 @@ class AlignmentData:
     Parameters
     ----------
     begin_ns : nothing before it is taken
+
+    Attributes
+    ----------
+    floor_ns : nothing before it is used: `begin_ns`, or the stamp at which a sensor was isolated that had been faulty before that
     """
 
     def __init__(self, begin_ns: int) -> None:
-        self.begin_ns = begin_ns
+        self.begin_ns = self.floor_ns = begin_ns
         self._stamp: NDArray[np.int64] = np.empty(0, np.int64)
         self._values: Array = np.empty((0, 8))  # rate, force, variance of the two
         self._size = 0
@@ -116,7 +120,7 @@ class AlignmentData:
     def aids(self, names: tuple[str, ...], until_ns: int) -> list[Aid]:
         """Measurements of some aids up to a stamp that the operator has not excluded."""
         stop = bisect.bisect_right(self._aids, until_ns, key=lambda known: known.stamp_ns)
-        return [aid for aid in self._aids[:stop] if aid.name in names and self._in_use(aid)]
+        return [aid for aid in self._aids[:stop] if aid.stamp_ns > self.floor_ns and aid.name in names and self._in_use(aid)]
 
     def _in_use(self, aid: Aid) -> bool:
         said = [command.use for command in self._uses if command.name == aid.name and command.stamp_ns <= aid.stamp_ns]
@@ -124,18 +128,25 @@ class AlignmentData:
 
     def masters(self, until_ns: int) -> list[MasterState]:
         """States of the master up to a stamp."""
-        return self._masters[: bisect.bisect_right(self._masters, until_ns, key=lambda known: known.stamp_ns)]
+        first, stop = (bisect.bisect_right(self._masters, t, key=lambda known: known.stamp_ns) for t in (self.floor_ns, until_ns))
+        return self._masters[first:stop]
 
     def settle(self, until_ns: int) -> list[tuple[Recall, bool]]:
         """Take out of the samples what sensors declared up to a stamp have put in.
 
         Returns
         -------
-        (recall, whether it could be) of each: it cannot where the fault began before the alignment
+        (recall, whether it could be) of each: it cannot where the fault began before the data, which then begin behind it
         """
         due = [recall for recall in self._recalls if recall.stamp_ns <= until_ns]
         self._recalls = self._recalls[len(due) :]
-        return [(recall, self._take_out(recall)) for recall in due]
+        out = []
+        for recall in due:
+            done = recall.onset_ns >= self.floor_ns and self._take_out(recall)
+            if not done:
+                self.floor_ns = recall.stamp_ns - 1
+            out.append((recall, done))
+        return out
 
     def _take_out(self, recall: Recall) -> bool:
         """Spread the recalled angle and velocity evenly over the time of the fault: their sums at its end are then right, whatever its shape."""
@@ -158,7 +169,7 @@ class AlignmentData:
 
     def window(self, until_ns: int, since_ns: int = 0) -> Window | None:
         """Samples in (since_ns, until_ns] at equal intervals; None where there are fewer than two."""
-        first, stop = (int(np.searchsorted(self._stamp[: self._size], t, side="right")) for t in (since_ns, until_ns))
+        first, stop = (int(np.searchsorted(self._stamp[: self._size], t, side="right")) for t in (max(since_ns, self.floor_ns), until_ns))
         if stop - first < 2:
             return None
         stamps, values = self._stamp[first:stop], self._values[first:stop]

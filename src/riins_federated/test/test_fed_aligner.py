@@ -192,6 +192,22 @@ def test_what_an_isolated_gyro_put_in_is_taken_out() -> None:
     assert spoilt is None or np.abs(scaled(s, spoilt)[:3]).max() > 4.0  # and it would have mattered
 
 
+def test_a_fault_older_than_the_alignment_leaves_nothing_behind() -> None:
+    """Its data up to the declaration are not used, and it takes so much longer."""
+    s = ship(**WAVES)
+    navigator = Navigator(config({"data_s": 120.0}, validity={"heading_deg": 3.0, "heading_invalid_deg": 5.0}))
+    navigator.set_initial_state(given(s))
+    assert not navigator.align(AlignCommand(START + 10 * SECOND + 1, "swaying"))
+    recall = Recall(int(s.stamp[40 * 25]), START + 5 * SECOND, np.full(3, 1e-3), np.full(3, 0.1))
+    sick = Ship.__new__(Ship)
+    sick.__dict__.update(s.__dict__, rate=s.rate + 1e-3 * (s.stamp < s.stamp[40 * 25])[:, None])
+    reports = feed(navigator, sick, recalls=[recall]).drain_alignment()
+    assert any("the data so far are not used" in r.text for r in reports)
+    last = reports[-1]
+    assert last.ended == "aligned" and last.elapsed_s == pytest.approx(150.0, abs=1.5) and last.initial is not None
+    assert np.abs(scaled(s, last.initial)[:3]).max() < 4.0
+
+
 def given(s: Ship, stamp_ns: int = START) -> InitialState:
     truth = s.truth(stamp_ns)
     rph = np.add([float(a[0]) for a in euler_from_dcm(truth.C_nb)], [1e-4, 0.0, 2e-3])
