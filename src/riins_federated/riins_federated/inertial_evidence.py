@@ -6,7 +6,7 @@ Does not live here: the masters, and what follows from the evidence (separated_m
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,14 +39,14 @@ class InertialEvidence:
         self._mean: Array = np.zeros((masters, aids, 3))
         self._width: Rows = np.zeros(aids, np.int64)
 
-    def learn(self, index: int, rows: Iterable[int], standardized: Array) -> None:
+    def learn(self, index: int, rows: Rows, standardized: Array) -> None:
         """Take standardized innovations (k, m) of an aid against the masters `rows`."""
         m = standardized.shape[1]
         if m > self._mean.shape[2]:  # four beams, or position and velocity at once
             self._mean = np.pad(self._mean, ((0, 0), (0, 0), (0, m - self._mean.shape[2])))
         self._width[index] = m
-        for row, one in zip(rows, standardized, strict=True):
-            self._mean[row, index, :m] = self._keep * self._mean[row, index, :m] + (1.0 - self._keep) * np.clip(one, -CLIP, CLIP)
+        clipped = np.minimum(np.maximum(standardized, -CLIP), CLIP)
+        self._mean[rows, index, :m] = self._keep * self._mean[rows, index, :m] + (1.0 - self._keep) * clipped
 
     def ratio(self, row: int, aids: Sequence[int], pfa: float) -> float:
         """Statistic of a master over some of its aids, over its threshold; 0 before any innovation."""

@@ -134,7 +134,7 @@ def test_output_correction_agrees_with_continuous_feedback(v: Voyage, straight) 
     """Target 32 in small: the estimate is the same whether it is fed back or only subtracted from the output."""
     output = run(v, Navigator(config(feedback_period_s=1e6))).drain_settled()
     apart = errors(v, output) - errors(v, straight[0])
-    assert np.abs(apart).max() < 0.3
+    assert np.abs(apart).max() < 0.01
     assert output[-1].reset_count == 0
 
 
