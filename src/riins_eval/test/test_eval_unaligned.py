@@ -20,7 +20,7 @@ def test_it_holds_what_it_promises(sailed):
     found = run.score["alignment"]
     assert found["method"] == "swaying" and found["elapsed_s"] == 180.0 and abs(found["heading_error_arcmin"]) < 30.0
     assert run.record.settled.stamp_ns[0] > run.record.start_ns + 180_000_000_000  # nothing is given out before
-    assert [row for row in table(run.score) if row[0] == "alignment"][0][1] == "swaying, 180 s"
+    assert next(row for row in table(run.score) if row[0] == "alignment")[1] == "swaying, 180 s"
     assert score(bag_record.read_record(bag, twins=False))["alignment"] == found
 
 
