@@ -24,7 +24,8 @@ def make_solution(seed: int) -> SimpleNamespace:
     return SimpleNamespace(
         stamp_ns=1_600_000_000_000_000_000 + seed * 1_000_000_007, lat=rng.uniform(-1, 1), lon=rng.uniform(-3, 3), h=rng.normal(),
         v_n=rng.normal(size=3), rph=rph, C_nb=dcm_from_euler(*rph), rate_b=rng.normal(size=3), force_b=rng.normal(size=3), bias_g=rng.normal(size=3),
-        bias_a=rng.normal(size=3), P=root @ root.T, mode=2, validity=(0, 1, 2), protection_radius=rng.uniform(), protection_heading=rng.uniform(), reset_count=3, reset=(1.0, 2.0, 3.0),
+        bias_a=rng.normal(size=3), P=root @ root.T, mode=2, validity=(0, 1, 2), protection_radius=rng.uniform(),
+        protection_heading=rng.uniform(), reset_count=3, reset=(1.0, 2.0, 3.0),
     )  # fmt: skip
 
 
