@@ -28,7 +28,7 @@ class Verdict(NamedTuple):
     """What became of one measurement."""
 
     statistic: float
-    """NIS against the filter that judges; the larger one where two do"""
+    """NIS of the innovation below"""
     threshold: float
     """infinite without a gate"""
     passed: bool
@@ -147,13 +147,10 @@ class Structure:
         found = self._stack.judge(self._judges(index), used.z, used.H, used.R)
         gate = self.gates[index]
         threshold = np.inf if gate.pfa is None else nis_threshold(gate.pfa, len(z))
-        statistic, by = float(found.nis[0]), 0
-        for other in range(1, len(found.nis)):
-            if found.nis[other] > statistic:
-                statistic, by = float(found.nis[other]), other
-        if found.nis[0] > threshold or not statistic > threshold:
-            by = 0
-        passed, held, alarm = statistic <= threshold and statistic < np.inf, False, False
+        fails = ~((found.nis <= threshold) & (found.nis < np.inf))
+        # one statistic is reported with its innovation: the first filter's, unless another one alone rejects
+        by = 0 if fails[0] else int(np.argmax(np.where(fails, found.nis, -1.0))) if fails.any() else 0
+        statistic, passed, held, alarm = float(found.nis[by]), not bool(fails[by]), False, False
         if noise is not None:
             noise.learn(found.z[0], R)
         if gate.test is not None:
