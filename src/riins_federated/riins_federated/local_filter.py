@@ -6,8 +6,7 @@ Does not live here: the measurement models (aiding.py), the tests and the fusion
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from riins_fdi.health import SUBFILTER_CODE, Change, HealthConfig, HealthMachine, HealthState
 
@@ -17,8 +16,7 @@ from .structures import Verdict, Watched
 from .types import Aid, Judged, Reason, SubfilterReport
 
 
-@dataclass(frozen=True)
-class _Last:
+class _Last(NamedTuple):
     """What the last judged measurement was like; immutable, so that a snapshot is a reference."""
 
     stamp_ns: int = 0
@@ -111,8 +109,8 @@ class LocalFilter:
         """The separation of solutions has found it faulty: what it had put in is out of the master, its measurement of this moment too."""
         last = self._last
         if last.reason is Reason.NONE and last.stamp_ns > 0:
-            self._last = replace(
-                last, reason=Reason.SEPARATION, accepted=last.accepted - 1, rejected=last.rejected + 1, accepted_ns=last.accepted_before_ns
+            self._last = last._replace(
+                reason=Reason.SEPARATION, accepted=last.accepted - 1, rejected=last.rejected + 1, accepted_ns=last.accepted_before_ns
             )
         return self._health.isolate(stamp_ns, Reason.SEPARATION)
 
@@ -129,11 +127,11 @@ class LocalFilter:
     def restart(self) -> None:
         """Forget what was judged before a restart of the run; counts and the operator's exclusion stay."""
         self._health.reset()
-        self._last = replace(self._last, stamp_ns=0, accepted_ns=0, statistic=0.0, reason=Reason.NONE, information=(0.0, 0.0))
+        self._last = self._last._replace(stamp_ns=0, accepted_ns=0, statistic=0.0, reason=Reason.NONE, information=(0.0, 0.0))
 
     def refuse(self, reason: Reason) -> None:
         """Count a measurement that was not judged."""
-        self._last = replace(self._last, reason=reason, rejected=self._last.rejected + 1)
+        self._last = self._last._replace(reason=reason, rejected=self._last.rejected + 1)
 
     def fusing(self, stamp_ns: int) -> bool:
         """It is in use, and a measurement of it has been fused within its time-out."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -206,7 +205,7 @@ class OrderedRun:
         """Do what is due at a sample that has just been integrated."""
         flt, due, period = self._filter, self._due, self._period
         flt.propagate()
-        due = replace(due, covariance=stamp_ns + period.covariance)
+        due = due._replace(covariance=stamp_ns + period.covariance)
         corrected = False
         seen: list[tuple[Judged, Change | None]] = []
         while self._queue.head_ns() <= stamp_ns:
@@ -230,20 +229,20 @@ class OrderedRun:
         if stamp_ns >= due.height:
             flt.fuse_height()
             corrected = True
-            due = replace(due, height=next_due(due.height, period.height, stamp_ns))
+            due = due._replace(height=next_due(due.height, period.height, stamp_ns))
         taken_out = flt.close()
         corrected |= bool(taken_out)
         self._log.judged(seen, taken_out)
         if (corrected and not period.feedback) or stamp_ns >= due.feedback:
             flt.feed_back(announced=bool(taken_out))
-            due = replace(due, feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
+            due = due._replace(feedback=next_due(due.feedback, period.feedback, stamp_ns) if period.feedback else due.feedback)
         elif corrected:
             flt.damp_vertical()
         for local in flt.subfilters:
             self._log.health(local.name, local.watch(stamp_ns, flt.started_ns))
         if stamp_ns >= due.settle:
             self._log.add(stamp_ns, flt.solution())
-            due = replace(due, settle=next_due(due.settle, period.settle, stamp_ns))
+            due = due._replace(settle=next_due(due.settle, period.settle, stamp_ns))
         self._due = due
         margin = self._max_delay + 2 * period.covariance
         if self._last_ns is not None and stamp_ns > self._last_ns - margin and stamp_ns >= self._checkpoints[-1].stamp_ns + period.covariance // 4:

@@ -26,8 +26,7 @@ def next_due(due: int, period: int, stamp_ns: int) -> int:
     return due + period * ((stamp_ns - due) // period + 1)
 
 
-@dataclass(frozen=True)
-class Due:
+class Due(NamedTuple):
     """Stamps at which something recurs, or the periods."""
 
     covariance: int
@@ -37,14 +36,11 @@ class Due:
 
     def first(self) -> int:
         """The earliest."""
-        return min(self.covariance, self.height, self.settle, self.feedback)
+        return min(self)
 
     def after(self, stamp_ns: int) -> Due:
         """The first stamps after a beginning, of periods of which 0 means never."""
-        covariance, height, settle, feedback = (
-            stamp_ns + period if period else NEVER_NS for period in (self.covariance, self.height, self.settle, self.feedback)
-        )
-        return Due(covariance, height, settle, feedback)
+        return Due(*(stamp_ns + period if period else NEVER_NS for period in self))
 
 
 @dataclass(frozen=True)
