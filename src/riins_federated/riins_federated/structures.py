@@ -147,10 +147,11 @@ class Structure:
         found = self._stack.judge(self._judges(index), used.z, used.H, used.R)
         gate = self.gates[index]
         threshold = np.inf if gate.pfa is None else nis_threshold(gate.pfa, len(z))
-        fails = ~((found.nis <= threshold) & (found.nis < np.inf))
+        nis = found.nis.tolist()
+        rejecting = [i for i, one in enumerate(nis) if not (one <= threshold and one < np.inf)]
         # one statistic is reported with its innovation: the first filter's, unless another one alone rejects
-        by = 0 if fails[0] else int(np.argmax(np.where(fails, found.nis, -1.0))) if fails.any() else 0
-        statistic, passed, held, alarm = float(found.nis[by]), not bool(fails[by]), False, False
+        by = max(rejecting, key=nis.__getitem__) if rejecting and 0 not in rejecting else 0
+        statistic, passed, held, alarm = nis[by], not rejecting, False, False
         if noise is not None:
             noise.learn(found.z[0], R)
         if gate.test is not None:
