@@ -38,8 +38,8 @@ class SampleNoise:
         model, density = config.inertial, inertial_density(config.inertial)
         self._follow, self._steps = model.follow_covariance, model.bias_steps
         self._density = np.array([density[PHI][0], density[VEL][0]])
+        self._model = self._density[:, None, None] * np.eye(3)
         self._bias = np.array([model.gyro_bias_deg_h * DEG_PER_H, model.accel_bias_ug * MICRO_G]) ** 2 / self._density
-        self._state = self.fresh()
 
     @staticmethod
     def fresh() -> Array:
@@ -58,12 +58,12 @@ class SampleNoise:
             return
         for kind, (white, bias) in enumerate(((PHI, BG), (VEL, BA))):
             small = _NEGLIGIBLE * self._density[kind]
-            excess = state[kind, SUM] - self._density[kind] * interval * np.eye(3)
+            excess = state[kind, SUM] - self._model[kind] * interval
             if np.abs(excess).max() > small * interval:
                 Qd[white, white] += C_nb @ _positive(excess) @ C_nb.T
             if self._steps and np.abs(state[kind, STEP]).max() > small:
                 Qd[bias, bias] += self._bias[kind] * _positive(state[kind, STEP])
-        state[:, (SUM, STEP)] = 0.0
+        state[:, SUM] = state[:, STEP] = 0.0
 
 
 def _positive(matrix: Array) -> Array:
