@@ -181,12 +181,14 @@ class StateModel:
 
     def biases(self, parameters: Array) -> tuple[Array, Array]:
         """Estimated gyro and accelerometer bias (3,), (3,), constant and Markov part together, rad/s, m/s^2."""
-        gyro, accel = parameters[0:3], parameters[3:6]
-        for place in self._bias[0]:
-            gyro = gyro + parameters[place]
-        for place in self._bias[1]:
-            accel = accel + parameters[place]
-        return gyro, accel
+        return self._total(parameters, 0), self._total(parameters, 1)
+
+    def _total(self, parameters: Array, kind: int) -> Array:
+        """Bias of the gyros (0) or the accelerometers (1)."""
+        bias = parameters[3 * kind : 3 * kind + 3]
+        for place in self._bias[kind]:
+            bias = bias + parameters[place]
+        return bias
 
     def gains(self, parameters: Array) -> tuple[Array, Array]:
         """What a rate and a specific force less bias are multiplied by for the estimated scale factor errors, (3,), (3,)."""
@@ -200,12 +202,12 @@ class StateModel:
 
     def rate(self, parameters: Array, rate: Array) -> Array:
         """A measured body rate without its estimated errors."""
-        rate = rate - self.biases(parameters)[0]
+        rate = rate - self._total(parameters, 0)
         return rate * self.gains(parameters)[0] if self.scaled else rate
 
     def force(self, parameters: Array, force: Array) -> Array:
         """A measured specific force without its estimated errors."""
-        force = force - self.biases(parameters)[1]
+        force = force - self._total(parameters, 1)
         return force * self.gains(parameters)[1] if self.scaled else force
 
     def bias_covariances(self, P: Array) -> tuple[Array, Array]:
