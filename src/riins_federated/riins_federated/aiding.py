@@ -251,8 +251,9 @@ def noise(R: Array, sigma: Array, floor: float) -> Array:
     (m, m)
     """
     R = np.array(R) if R.any() else np.diag(sigma**2)
-    for i in range(len(R)):
-        R[i, i] = max(R[i, i], floor**2)
+    if floor > 0.0:
+        for i in range(len(R)):
+            R[i, i] = max(R[i, i], floor**2)
     return R
 
 
@@ -274,9 +275,11 @@ def _positive(R: Array) -> bool:
 
 def skew(v: Array) -> Array:
     """Matrix [v x] of one vector (3,), as riins_core.rotation.skew but without its generality, which costs more than the rest of a measurement."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of two vectors (3,); numpy's own takes ten times as long for so few numbers."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    (u, v, w), (x, y, z) = a.tolist(), b.tolist()
+    return np.array([v * z - w * y, w * x - u * z, u * y - v * x])

@@ -341,7 +341,8 @@ class IntegratedFilter:
             rate = rate + w * (m.rate[1] - m.rate[0])
         rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
         a_n = (m.nav[3:6] - m.nav_before[3:6]) / m.dt if m.dt > 0.0 else np.zeros(3)
-        return Pose(nav[0], nav[1], nav[2], nav[3:6], nav[6:15].reshape(3, 3), rate_b, a_n)
+        lat, lon, h = nav[0:3].tolist()
+        return Pose(lat, lon, h, nav[3:6], nav[6:15].reshape(3, 3), rate_b, a_n)
 
 
 def about(measurement: Measurement, x: Array | None) -> Measurement:

@@ -61,8 +61,9 @@ class GnssPosition(AidModel[GnssPositionSettings]):
         n = self.rows.stop
         lever_n = pose.C_nb @ (self.lever + self.value(parameters, "lever"))
         r_m, r_n = radii_s(pose.lat)
-        d_lon = (aid.z[1] - pose.lon + np.pi) % (2.0 * np.pi) - np.pi  # across the date line
-        difference = np.array([(aid.z[0] - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * math.cos(pose.lat), pose.h - aid.z[2]])
+        lat, lon, h = aid.z.tolist()
+        d_lon = (lon - pose.lon + math.pi) % (2.0 * math.pi) - math.pi  # across the date line
+        difference = np.array([(lat - pose.lat) * (r_m + pose.h), d_lon * (r_n + pose.h) * math.cos(pose.lat), pose.h - h])
         z = (difference - lever_n)[:n]
         if "markov" in self.at:
             z -= self.value(parameters, "markov")
