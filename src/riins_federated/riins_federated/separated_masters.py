@@ -40,6 +40,7 @@ class _Apart(NamedTuple):
 
 
 _SETTINGS, _LAYOUT, _GATE = SolutionSeparation(), Layout(), Gate()
+_UNWATCHED = Watched(0.0, 0.0)
 
 
 class SeparatedMasters(Structure):
@@ -96,7 +97,7 @@ class SeparatedMasters(Structure):
         self._alone = [self._row.get(1 << i, -1) for i in range(n_aids)]
         self._evidence = InertialEvidence(masters, n_aids, settings.evidence_memory)
         self.isolated = [False] * n_aids
-        self._watched = [Watched(0.0, 0.0)] * n_aids
+        self._watched = [_UNWATCHED] * n_aids
         self._good = [0] * n_aids
         self._failed = [0] * n_aids
         self._heard: list[bool | None] = [None] * n_aids  # passed, failed, or nothing since the last close
@@ -217,7 +218,7 @@ class SeparatedMasters(Structure):
         both = len(self.layout.navigation) > 0
         found = self._apart(using, self._position)
         whole = self._apart(using, self._states) if both else found
-        self._watched = [self._nearest(i, found[i], whole[i]) if i in found else Watched(0.0, 0.0) for i in range(len(self.isolated))]
+        self._watched = [self._nearest(i, found[i], whole[i]) if i in found else _UNWATCHED for i in range(len(self.isolated))]
         alarms = [i for i in using if found[i].alarm(self._pfa(i)) or whole[i].alarm(self._pfa(i))]
         if not alarms or len(using) < 2:
             return []  # the last aid: nothing but its gate can tell
@@ -257,11 +258,8 @@ class SeparatedMasters(Structure):
 
     def _nearest(self, index: int, *found: _Apart) -> Watched:
         pfa = self._pfa(index)
-        return max(
-            (Watched(one.statistic, one.threshold(pfa)) for one in found if one.dof),
-            key=lambda w: w.statistic / w.threshold,
-            default=Watched(0.0, 0.0),
-        )
+        seen = [Watched(one.statistic, one.threshold(pfa)) for one in found if one.dof]
+        return max(seen, key=lambda w: w.statistic / w.threshold, default=_UNWATCHED)
 
     def _bearable(self, aids: Sequence[int]) -> bool:
         """The master without them still knows where it is: it may take the master's place."""

@@ -142,18 +142,18 @@ class Structure:
     def judge(self, index: int, measurement: Measurement) -> Verdict:
         """Judge a measurement of aid `index` against the state as it is; nothing is fused."""
         noise = self._noise[index]
-        z, H, R = contiguous(measurement)
-        used = Measurement(z, H, R) if noise is None else noise.scaled(Measurement(z, H, R))
+        reported = Measurement(*contiguous(measurement))
+        used = reported if noise is None else noise.scaled(reported)
         found = self._stack.judge(self._judges(index), used.z, used.H, used.R)
         gate = self.gates[index]
-        threshold = np.inf if gate.pfa is None else nis_threshold(gate.pfa, len(z))
+        threshold = np.inf if gate.pfa is None else nis_threshold(gate.pfa, len(used.z))
         nis = found.nis.tolist()
         rejecting = [i for i, one in enumerate(nis) if not (one <= threshold and one < np.inf)]
         # one statistic is reported with its innovation: the first filter's, unless another one alone rejects
         by = max(rejecting, key=nis.__getitem__) if rejecting and 0 not in rejecting else 0
         statistic, passed, held, alarm = nis[by], not rejecting, False, False
         if noise is not None:
-            noise.learn(found.z[0], R)
+            noise.learn(found.z[0], reported.R)
         if gate.test is not None:
             passed, held, alarm = self._further(index, gate, found, threshold, passed)
         return Verdict(
