@@ -82,8 +82,7 @@ class Aligner:
         self._phase, self._reason = Phase.STANDBY, "there are no samples yet"
         self._C: Array | None = None
         self._attitude_ns = 0
-        self._sigma = np.full(3, np.nan)
-        self._place = np.full(3, np.nan)
+        self._sigma, self._level, self._place = np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan)
         self._news: list[str] = []
         self.due_ns = command.stamp_ns + SECOND_NS
         self.ended = False

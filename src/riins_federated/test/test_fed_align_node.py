@@ -112,6 +112,7 @@ def test_align_by_action(bench: Bench) -> None:
     assert refused.status == GoalStatus.STATUS_ABORTED and refused.result.message == "there is no IMU sample yet"
     bench.sail(2)
     assert "no method" in bench.result(bench.goal(method="magic")).result.message
+    assert "cancel the goal" in bench.result(bench.goal(method="cancel")).result.message
 
     first = bench.goal(method="redundant")
     bench.sail(16)

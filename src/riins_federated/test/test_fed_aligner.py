@@ -117,6 +117,7 @@ def test_no_motion_for_poor_gyros_gives_no_heading() -> None:
 
 def test_settings_that_cannot_be() -> None:
     for bad, words in (({"position": (1.0,)}, "latitude, longitude, height"),
+                       ({"position": (200.0, 0.0, 0.0)}, "latitude in -90"),
                        ({"heading": (1.0, 0.0)}, "positive")):  # fmt: skip
         with pytest.raises(SettingError, match=words):
             config(bad)

@@ -211,8 +211,8 @@ class Sender:
         if self._line is None:
             try:
                 self._address = (socket.gethostbyname(link.host), link.port)  # once: a name server must not hold up every sentence
-            except OSError as error:
-                raise LinkError(f"{link.text}: {_reason(error)}") from None
+            except (OSError, UnicodeError):  # the codec of host names refuses an empty label or one that is too long
+                raise LinkError(f"{link.text}: the host {link.host!r} is not known") from None
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

@@ -126,7 +126,10 @@ class AlignPart:
         goal = _Goal(handle, 0)
         self._goals.append(goal)
         wish = handle.request
-        problem = self._command(str(wish.method) or "auto", goal, float(wish.time_limit), float(wish.heading), float(wish.sigma_heading))
+        if wish.method == CANCEL:  # it would wait for a report that never comes
+            problem = "cancel the goal that is under way; a goal has no method cancel"
+        else:
+            problem = self._command(str(wish.method) or "auto", goal, float(wish.time_limit), float(wish.heading), float(wish.sigma_heading))
         if problem:
             goal.ended.set_result((False, problem))
         handle.execute()
