@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -27,8 +27,7 @@ DELAY_STEP_S = 1e-3
 """Over twice this the rate of a measurement is taken, for the state of its delay."""
 
 
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """Nominal state at the measurement time.
 
     Attributes
@@ -52,14 +51,13 @@ class Pose:
         """The pose a moment later, with acceleration and body rate as they are."""
         step = self.v_n * seconds + 0.5 * self.a_n * seconds**2
         r_m, r_n = radii_s(self.lat)
-        return replace(
-            self, lat=self.lat + step[0] / (r_m + self.h), lon=self.lon + step[1] / ((r_n + self.h) * math.cos(self.lat)), h=self.h - step[2],
+        return self._replace(
+            lat=self.lat + step[0] / (r_m + self.h), lon=self.lon + step[1] / ((r_n + self.h) * math.cos(self.lat)), h=self.h - step[2],
             v_n=self.v_n + self.a_n * seconds, C_nb=self.C_nb @ exp_so3(self.rate_b * seconds),
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Measurement:
+class Measurement(NamedTuple):
     """z = measured - predicted (m,), H (m, n) with z = H x + noise, and R (m, m)."""
 
     z: Array

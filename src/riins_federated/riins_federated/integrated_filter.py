@@ -254,7 +254,7 @@ class IntegratedFilter:
         x = self._structure.x.copy()
         nav, parameters = np.array([pose.lat, pose.lon, pose.h, *pose.v_n, *pose.C_nb.ravel(), 0.0]), m.parameters.copy()
         self.states.correct(nav, parameters, x)
-        estimated = replace(pose, lat=nav[0], lon=nav[1], h=nav[2], v_n=nav[3:6], C_nb=nav[6:15].reshape(3, 3))
+        estimated = pose._replace(lat=nav[0], lon=nav[1], h=nav[2], v_n=nav[3:6], C_nb=nav[6:15].reshape(3, 3))
         return estimated, parameters, x
 
     def _shift(self, x: Array, announced: bool = False) -> None:
@@ -347,4 +347,4 @@ class IntegratedFilter:
 
 def about(measurement: Measurement, x: Array | None) -> Measurement:
     """The measurement against the nominal state, of one that was compared with the nominal state less x."""
-    return measurement if x is None else replace(measurement, z=measurement.z + measurement.H @ x)
+    return measurement if x is None else measurement._replace(z=measurement.z + measurement.H @ x)

@@ -142,7 +142,7 @@ class Structure:
     def judge(self, index: int, measurement: Measurement) -> Verdict:
         """Judge a measurement of aid `index` against the state as it is; nothing is fused."""
         noise = self._noise[index]
-        reported = Measurement(*contiguous(measurement))
+        reported = contiguous(measurement)
         used = reported if noise is None else noise.scaled(reported)
         found = self._stack.judge(self._judges(index), used.z, used.H, used.R)
         gate = self.gates[index]
@@ -262,9 +262,9 @@ class Structure:
         return passed, False, False
 
 
-def contiguous(measurement: Measurement) -> tuple[Array, Array, Array]:
-    """z, H, R as the kernels take them."""
-    return (
+def contiguous(measurement: Measurement) -> Measurement:
+    """The measurement as the kernels take it."""
+    return Measurement(
         np.ascontiguousarray(measurement.z, dtype=np.float64),
         np.ascontiguousarray(measurement.H, dtype=np.float64),
         np.ascontiguousarray(measurement.R, dtype=np.float64),
@@ -331,7 +331,7 @@ class FederatedFilter(Structure):
         """As in `Structure`; into the local filter for it."""
         if len(self.beta) == len(self.gates):
             raise ValueError("there is no local filter for what is not an aid's")
-        self._into(len(self.gates), Measurement(*contiguous(measurement)))
+        self._into(len(self.gates), contiguous(measurement))
 
     def close(self) -> list[Replaced]:
         """As in `Structure`."""
