@@ -333,12 +333,13 @@ class IntegratedFilter:
         """Nominal state at a stamp within the newest sample, by linear interpolation."""
         m = self._running()
         nav = m.nav
-        rate = 1.5 * m.rate[0] - 0.5 * m.rate[1]  # from means over samples to the end of the newest
+        newest, before = m.rate
+        rate = 1.5 * newest - 0.5 * before  # from means over samples to the end of the newest
         back = (m.stamp_ns - stamp_ns) * 1e-9
         if back > 0.0 and m.dt > 0.0:
             w = min(back / m.dt, 1.0)
             nav = between(nav, m.nav_before, w)
-            rate = rate + w * (m.rate[1] - m.rate[0])
+            rate = rate + w * (before - newest)
         rate_b = body_rate(nav, self.states.rate(m.parameters, rate))
         a_n = (m.nav[3:6] - m.nav_before[3:6]) / m.dt if m.dt > 0.0 else np.zeros(3)
         lat, lon, h = nav[0:3].tolist()

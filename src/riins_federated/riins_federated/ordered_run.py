@@ -135,7 +135,7 @@ class OrderedRun:
         k = self._sample - self._dropped_samples
         while k < len(imu):
             due = min(self._due.first(), queue.head_ns())
-            stop = min(max(int(np.searchsorted(imu.stamp, due)), k), len(imu) - 1)
+            stop = min(max(int(imu.stamp.searchsorted(due)), k), len(imu) - 1)
             part = slice(k, stop + 1)
             self._filter.integrate(
                 imu.rate[part], imu.force[part], imu.dt[part], int(imu.stamp[stop]), imu.rate_covariance[part], imu.force_covariance[part]
