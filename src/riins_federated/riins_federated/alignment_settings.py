@@ -14,7 +14,7 @@ import numpy as np
 
 from riins_core.settings import SettingError, setting
 
-from .types import Array, InitialState
+from .types import Array, InitialState, Reason
 
 METHODS = ("stationary", "redundant", "swaying", "in_motion", "known_heading", "hot_start", "transfer")
 """auto chooses among stationary, swaying and in_motion."""
@@ -108,6 +108,7 @@ class MasterState:
     v_n : (3,), m/s, NED
     C_nb : (3, 3), its body axes FRD to NED
     sigma_position, sigma_velocity, sigma_attitude : (3,), m, m/s, rad, NED
+    valid : it navigates, and calls neither its position nor its velocity or heading invalid
     """
 
     stamp_ns: int
@@ -119,6 +120,17 @@ class MasterState:
     sigma_position: Array
     sigma_velocity: Array
     sigma_attitude: Array
+    valid: bool = True
+
+    def defect(self) -> Reason:
+        """Why it cannot be learned from: NO_FIX where the master says so itself, NOT_FINITE, COVARIANCE without standard deviations, or NONE."""
+        sigma = np.concatenate([self.sigma_position, self.sigma_velocity, self.sigma_attitude])
+        values = np.concatenate([[self.lat, self.lon, self.h], self.v_n, self.C_nb.ravel(), sigma])
+        if not self.valid:
+            return Reason.NO_FIX
+        if not (np.all(np.isfinite(values)) and abs(self.lat) <= math.pi / 2):
+            return Reason.NOT_FINITE
+        return Reason.NONE if np.all(sigma > 0.0) else Reason.COVARIANCE
 
 
 @dataclass(frozen=True)

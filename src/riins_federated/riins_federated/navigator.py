@@ -132,7 +132,10 @@ class Navigator(OrderedRun):
         return ""
 
     def add_master(self, state: MasterState) -> Reason:
-        """Take a state of the INS that transfer alignment learns from; it is dropped when it comes too late."""
+        """Take a state of the INS that transfer alignment learns from; it is dropped when it is not valid, not usable or too late."""
+        reason = state.defect()
+        if reason is not Reason.NONE:
+            return reason
         if self._is_late(state.stamp_ns):
             return Reason.LATE
         self._desk.add(state)

@@ -307,6 +307,9 @@ def test_transfer_from_a_master() -> None:
         sigma = np.full(3, 2.0), np.full(3, 0.02), np.full(3, 0.02 * DEG)
         state = MasterState(START + t * SECOND, float(truth.lat[0]), float(truth.lon[0]), 5.0, v, C @ mounted, *sigma)
         assert navigator.add_master(state) is Reason.NONE
+    bad = ({"valid": False}, Reason.NO_FIX), ({"v_n": np.full(3, np.nan)}, Reason.NOT_FINITE), ({"lat": 200.0 * DEG}, Reason.NOT_FINITE)
+    for wrong, reason in (*bad, ({"sigma_position": np.zeros(3)}, Reason.COVARIANCE)):
+        assert navigator.add_master(replace(state, **wrong)) is reason
     feed(navigator, s)
     reports = navigator.drain_alignment()
     last = reports[-1]

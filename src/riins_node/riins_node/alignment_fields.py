@@ -14,6 +14,11 @@ from riins_core.rotation import dcm_from_euler
 from riins_node.message_parts import MAP_NED, Fields, header
 from riins_node.readings import to_ns
 
+NAVIGATING, COASTING = 2, 3
+"""Modes of NavState with a state to learn from."""
+INVALID = 2
+"""Validity of NavState."""
+
 
 def alignment_status(status: Any) -> Fields:
     """riins_msgs/AlignmentStatus of a riins_federated AlignmentStatus."""
@@ -67,4 +72,5 @@ def read_master_state(msg: Any) -> dict[str, Any]:
         "sigma_position": np.array([msg.sigma_north, msg.sigma_east, msg.sigma_down], np.float64),
         "sigma_velocity": np.array([msg.sigma_velocity_north, msg.sigma_velocity_east, msg.sigma_velocity_down], np.float64),
         "sigma_attitude": np.array([msg.sigma_roll, msg.sigma_pitch, msg.sigma_heading], np.float64),
+        "valid": bool(msg.mode in (NAVIGATING, COASTING) and INVALID not in (msg.position_validity, msg.velocity_validity, msg.heading_validity)),
     }

@@ -177,5 +177,7 @@ class AlignPart:
             self._node.get_logger().warning(f"command to align refused: {problem}")
 
     def _on_master(self, message: Any) -> None:
-        if self._navigator.add_master(MasterState(**alignment_fields.read_master_state(message))) is not Reason.NONE:
-            self._node.get_logger().warning("master: state dropped (late)", throttle_duration_sec=10.0)
+        reason = self._navigator.add_master(MasterState(**alignment_fields.read_master_state(message)))
+        if reason is not Reason.NONE:
+            words = "not valid" if reason is Reason.NO_FIX else reason.name.lower()
+            self._node.get_logger().warning(f"master: state dropped ({words})", throttle_duration_sec=10.0)
