@@ -130,6 +130,8 @@ def navigate(
     """
     from riins_eval import offline
 
+    if align == "none":
+        raise typer.BadParameter("--align wants a method, such as auto; without --align the recorded state is used")
     with Progress(f"navigate {bag.name}") as progress:
         over = {"navigator": {"alignment": {"method": align}}} if align else None
         run = offline.navigate(bag, out, record=record.value, progress=progress, overrides=over, namespace=namespace)

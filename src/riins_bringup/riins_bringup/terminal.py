@@ -37,6 +37,9 @@ def judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | None
     unscored = "no epoch could be scored: no reference (/truth/state) at the navigator's epochs in the time that counts"
     if result["epochs"] or result.get("scored") == "sensors":
         unscored = ""
+    found = result.get("alignment")
+    if not result["epochs"] and found is not None and not found["aligned"]:
+        unscored = "no epoch to score: the last alignment did not end in a state"
     screen = console()
     screen.print(score_table(result))
     if result["faults"]:

@@ -67,6 +67,7 @@ def test_help_imports_nothing_heavy():
         (["reproduce", "thesiss"], '"thesis"'),
         (["reproduce", "thesis", "--out", "/dev/null"], "/dev/null"),
         (["reproduce", "thesis", "--seeds", "0"], "--seeds"),
+        (["navigate", "bag", "--out", "again", "--align", "none"], "--align wants a method"),
     ],
 )
 def test_bad_use_is_one_line_and_status_2(words, message, capsys):
@@ -133,6 +134,9 @@ def test_a_run_of_which_nothing_was_scored_is_a_bad_result(tmp_path, monkeypatch
     assert main(["navigate", "bag", "--out", str(tmp_path / "again"), "--json", str(figures)]) == status
     assert ("no epoch could be scored" in capsys.readouterr().out) == (status == 1)
     assert json.loads(figures.read_text())["verdict"]["passed"] == (status == 0)
+    result.score |= {"epochs": 0, "scored": "sensors", "alignment": {"aligned": False}}
+    assert main(["navigate", "bag", "--out", str(tmp_path / "again"), "--align", "auto"]) == 1
+    assert "did not end in a state" in capsys.readouterr().out
 
 
 def test_scenario_with_a_typo_names_line_and_cure(tmp_path, capsys):

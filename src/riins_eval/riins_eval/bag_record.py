@@ -94,9 +94,9 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
         for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
             if holds(reader, topic):
                 setattr(record, name, _track(reader.columns(topic, _STATE))[0].at(settled.stamp_ns))
-    if not navigated:
+    if not navigated and not record.alignments:
         record.notes.append("There is no initial state in the bag: fusion and fault detection ran alone, nothing was navigated.")
-    elif record.twin is None and twins is not False:
+    elif navigated and record.twin is None and twins is not False:
         _sail_twins(record, configuration, faults, twins, progress)
     return record
 
