@@ -45,6 +45,14 @@ _READING = {
         "Expected: what is known of the recording, or asked of the method. Ours: the share of the cases with its 5 and 95 % bounds (Wilson), or the "
         f"median with the 5th and 95th percentile, or the mean of gyros and accelerometers with both; n: how many. {_VERDICT}"
     ),
+    "reference": (
+        "Target: number of a demand on this implementation, where there is one. Reference: what an independent implementation reached. Ours: mean or "
+        f"median over the seeds with the 5th and 95th percentile; n: how many. {_VERDICT} Under a name: what the reader must know."
+    ),
+    "wanted": (
+        "Wanted: what is asked of the navigator. Ours: median over the runs, or the mean of a share, or the sum of a count, with the 5th "
+        f"and 95th percentile; n: how many. {_VERDICT} Under a name: the worst case, and how many were found."
+    ),
 }
 _FOOTER = "Written by RIINS; this page needs no network. The same rows are in rows.json, the figures beside it as PNG."
 _MARKS = {True: "<span class=yes title='reaches what is demanded'>✓</span>", False: "<span class=no title='does not reach it'>✗</span>",

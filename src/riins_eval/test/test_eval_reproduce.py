@@ -6,6 +6,7 @@ Does not live here: the numbers of the real studies (test_eval_thesis_*.py), the
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import os
@@ -17,7 +18,7 @@ import pytest
 
 from riins_eval import reproduce as reproduction
 from riins_eval.reproduce import Chapter, Reproduction, StudyError, as_json, missed, reproduce
-from riins_eval.reproduce_page import number
+from riins_eval.reproduce_page import number, page
 from riins_eval.studies.rows import Row
 
 STUDY = """
@@ -126,3 +127,11 @@ def test_chapter_2_of_the_thesis_makes_a_page(tmp_path, monkeypatch):
     monkeypatch.setitem(reproduction.STUDIES, "thesis", Reproduction(thesis.title, thesis.about, thesis.chapters[:1]))
     rows = reproduce("thesis", quick=True, out=tmp_path)
     assert not missed(rows) and {r.target for r in rows} == {1, None} and (tmp_path / "index.html").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("name", reproduction.STUDIES)
+def test_every_study_can_be_written_as_a_page(name):
+    study = reproduction.STUDIES[name]
+    parts = [reproduction.Part(chapter, (Row(None, "a number", None, 1.0, 1.0, 1.0, 1, None, ""),), ()) for chapter in study.chapters]
+    text = page(name, study, parts, 3, True)
+    assert all(html.escape(chapter.title) in text for chapter in study.chapters)
