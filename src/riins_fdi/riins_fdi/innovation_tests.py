@@ -7,6 +7,7 @@ Does not live here: thresholds from the mean time between false alarms (innovati
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,7 +34,7 @@ class InnovationVerdict(NamedTuple):
     alarm: bool
 
 
-class InnovationTest:
+class InnovationTest(ABC):
     """A test on the innovations of one aid, taken as white: where the filter does not model a correlated error, the tests that average collapse.
 
     Parameters
@@ -97,8 +98,9 @@ class InnovationTest:
         other._state = tuple(part.copy() for part in self._state)
         return other
 
+    @abstractmethod
     def _run(self, u: Array, statistic: Array, alarm: NDArray[np.bool_]) -> None:
-        raise NotImplementedError
+        """Feed whitened innovations; statistic and alarm of each epoch are written."""
 
 
 class Nis(InnovationTest):

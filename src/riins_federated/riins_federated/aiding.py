@@ -7,6 +7,7 @@ Does not live here: the aids (aids/, one file a type), the fault test, the filte
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
@@ -105,7 +106,7 @@ class LeverSettings(AidSettings):
 S = TypeVar("S", bound=AidSettings)
 
 
-class AidModel(Generic[S]):
+class AidModel(ABC, Generic[S]):
     """Measurement model of one declared aid. A new type is a file in aids/ with a subclass of this.
 
     Parameters
@@ -140,9 +141,9 @@ class AidModel(Generic[S]):
         """States of this type of aid, by `state`; those of sigma 0 are off."""
         return []
 
+    @abstractmethod
     def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
         """Innovation, H and R of the elements `rows`, without regard to a delay that is not known."""
-        raise NotImplementedError
 
     def state(self, name: str, labels: Mapping[str, str], sigma: float, time_s: float = np.inf) -> Block:
         """A block of its own: labels with their units."""

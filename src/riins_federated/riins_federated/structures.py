@@ -7,6 +7,7 @@ Does not live here: the information form with leave-one-out masters (separated_m
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -96,7 +97,7 @@ class Gate:
 _GATE, _LAYOUT = Gate(), Layout()
 
 
-class Structure:
+class Structure(ABC):
     """What all structures share.
 
     Parameters
@@ -135,9 +136,9 @@ class Structure:
         """Its covariance (n, n), a view."""
         return self._stack.P[0]
 
+    @abstractmethod
     def predict(self, Phi: Array, Qd: Array) -> None:
         """Advance by one interval with transition and process noise (n, n)."""
-        raise NotImplementedError
 
     def judge(self, index: int, measurement: Measurement) -> Verdict:
         """Judge a measurement of aid `index` against the state as it is; nothing is fused."""
@@ -160,13 +161,13 @@ class Structure:
             statistic, threshold, passed, False, held, alarm, used, found.z[by], found.sigma[by], found.standardized[by], found.information
         )
 
+    @abstractmethod
     def take(self, index: int, verdict: Verdict, use: bool = True) -> bool:
         """Fuse a measurement that was judged, if it passed and may be used; whether it was."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add(self, measurement: Measurement) -> None:
         """Fuse what is not an aid's and not judged, such as the known mean height, in every filter that is to know it."""
-        raise NotImplementedError
 
     def close(self) -> list[Replaced]:
         """End of the epoch: fuse local filters, look at what the solutions say of each other; aids whose share in the master was taken out."""
@@ -242,9 +243,9 @@ class Structure:
         self._held = list(held)
         self._noise = [one.clone() if one else None for one in noise]
 
+    @abstractmethod
     def _judges(self, index: int) -> Rows:
         """Filters that a measurement of an aid is judged by, the one whose word is reported first."""
-        raise NotImplementedError
 
     def _further(self, index: int, gate: Gate, found: Innovations, threshold: float, passed: bool) -> tuple[bool, bool, bool]:
         """Whether it passes the further test as well, is only held, or alarms."""
