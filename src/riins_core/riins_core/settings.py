@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -101,8 +102,12 @@ def declared_sections(cls: type, values: Mapping[str, Any], path: tuple[str, ...
             raise SettingError(f'"{_name(where)}" must be a list of names, not {names!r}', where)
         for name in names:
             own = values.get(name)
-            if not name.isidentifier() or name in fields:
-                raise SettingError(f'"{_name(where)}" names "{name}", which cannot be the name of a section', where)
+            if name in fields:
+                raise SettingError(f'"{_name(where)}" names "{name}", which cannot be the name of a section: it is that of a setting', where)
+            if not (name.isidentifier() and name.isascii()):
+                raise SettingError(
+                    f'"{_name(where)}" names {name!r}, which cannot be the name of a section: letters, digits and _ are wanted, no digit first', where
+                )
             if name in found:
                 raise SettingError(f'"{_name(where)}" names "{name}" twice', where)
             kind = own.get("type") if isinstance(own, Mapping) else None
@@ -111,7 +116,7 @@ def declared_sections(cls: type, values: Mapping[str, Any], path: tuple[str, ...
                 raise SettingError(
                     f'"{_name(where)}" names "{name}", but there is no "{_name((*path, name))}.type"; types are {", ".join(kinds)}', where
                 )
-            if kind not in kinds:
+            if not isinstance(kind, str) or kind not in kinds:
                 said = f'"{_name((*path, name))}.type" must be one of {", ".join(kinds)}, not {kind!r}{nearest(str(kind), kinds)}'
                 raise SettingError(said, (*path, name, "type"))
             found[name] = kinds[kind]
@@ -255,10 +260,10 @@ def _convert(kind: Any, value: Any, metadata: Mapping[str, Any], path: tuple[str
 
 def _scalar(kind: Any, value: Any, metadata: Mapping[str, Any], path: tuple[str, ...]) -> Any:
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        value = float(value) if abs(value) <= sys.float_info.max else math.inf if value > 0 else -math.inf
     if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
         words = {float: "a number", int: "a whole number", str: "a word", bool: "true or false"}
-        raise SettingError(f'"{_name(path)}" must be {words.get(kind, kind)}, not {value!r}{_hint(metadata)}', path)
+        raise SettingError(f'"{_name(path)}" must be {words.get(kind, "a mapping of names to values")}, not {value!r}{_hint(metadata)}', path)
     if isinstance(value, float) and not math.isfinite(value):
         raise SettingError(f'"{_name(path)}" must be finite, not {value!r}{_hint(metadata)}', path)
     low, high = metadata.get("low"), metadata.get("high")
@@ -267,5 +272,6 @@ def _scalar(kind: Any, value: Any, metadata: Mapping[str, Any], path: tuple[str,
         raise SettingError(f'"{_name(path)}" must be in {span}, not {value!r}{_hint(metadata)}', path)
     choices = metadata.get("choices")
     if choices and value not in choices:
-        raise SettingError(f'"{_name(path)}" must be one of {", ".join(choices)}, not {value!r}{nearest(str(value), choices)}', path)
+        named = ", ".join(word or '"" (none)' for word in choices)
+        raise SettingError(f'"{_name(path)}" must be one of {named}, not {value!r}{nearest(str(value), choices)}', path)
     return value

@@ -1,7 +1,7 @@
 """Settings: what is taken, what is refused, and that the message says where and what was meant."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
@@ -23,6 +23,7 @@ class Outer:
     on: bool = setting(True, "on or off")
     limit: float | None = setting(None, "limit", "m", low=0.0)
     words: tuple[str, ...] = setting((), "any words")
+    kind: str = setting("", "what it is", choices=("", "round"))
     inner: Inner = section(Inner, "the inner part")
 
     def __post_init__(self):
@@ -32,7 +33,7 @@ class Outer:
 
 def test_defaults_nesting_and_whole_numbers():
     made = build(Outer, {"name": "x", "gain": 2, "limit": 4, "inner": {"sigma_m": [1, 2, 3.5]}})
-    assert made == Outer("x", 3, 2.0, True, 4.0, (), Inner((1.0, 2.0, 3.5)))
+    assert made == Outer("x", 3, 2.0, True, 4.0, inner=Inner((1.0, 2.0, 3.5)))
     assert isinstance(made.gain, float) and isinstance(made.limit, float) and isinstance(made.inner.sigma_m[0], float)
     assert build(Outer, {"name": "x", "limit": None}).limit is None
 
@@ -69,6 +70,8 @@ def test_mapping_round_trip():
         ({"name": "x", "inner": {"sigma_m": 1.0}}, "must be a list, not float", ("inner", "sigma_m")),
         ({"name": "x", "inner": {"mode": "exat"}}, "one of fast, exact, not 'exat' (did you mean \"exact\"?)", ("inner", "mode")),
         ({"name": "x", "inner": None}, "inner must be a mapping, not nothing", ("inner",)),
+        ({"name": "x", "gain": -(10**400)}, '"gain" must be finite', ("gain",)),
+        ({"name": "x", "kind": "rond"}, """one of "" (none), round, not 'rond' (did you mean "round"?)""", ("kind",)),
         ({"name": "x", "count": 7}, "seven is unlucky", ("count",)),
     ],
 )
@@ -78,6 +81,15 @@ def test_refusals(values, message, path):
     assert message in str(caught.value)
     assert caught.value.path == path
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_mapping_is_told_in_words():
+    @dataclass(frozen=True)
+    class Open:
+        more: dict = field(default_factory=dict, metadata={"doc": "whatever"})  # type: ignore[type-arg]
+
+    with pytest.raises(SettingError, match=r'"more" must be a mapping of names to values, not \[1\]: whatever'):
+        build(Open, {"more": [1]})
 
 
 def test_top_level_must_be_a_mapping():
@@ -129,7 +141,9 @@ def test_declared_sections_are_built_by_their_type_and_come_back() -> None:
         ({"box": {"type": "square"}}, r'unknown setting "box".* section that "shapes" should name'),
         ({"shapes": ["ball", "ball"]}, "twice"),
         ({"shapes": ["count"]}, "cannot be the name"),
-        ({"shapes": ["two words"]}, "cannot be the name"),
+        ({"shapes": ["two words"]}, "names 'two words', which cannot be the name of a section: letters, digits"),
+        ({"shapes": ["b\u00e4ll"]}, "letters, digits"),
+        ({"shapes": ["box"], "box": {"type": ["square"]}}, r'"box.type" must be one of round, square, not \[\'square\'\]'),
         ({"shapes": "ball"}, "must be a list of names"),
         ({"ball": {"radius_m": 11.0}}, r'"ball.radius_m" must be in'),
         ({"ball": {"side_m": 1.0}}, r'unknown setting "ball.side_m"'),

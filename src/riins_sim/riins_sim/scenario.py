@@ -175,7 +175,8 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.name.replace("_", "").replace("-", "").isalnum():
             raise SettingError(f'"name" must be letters, digits, "_" and "-", not {self.name!r}', ("name",))
-        sensors = len(self.fusion.get("geometry") or ()) // 3 or CONFIGURATIONS[self.imu.configuration].shape[0]
+        geometry = self.fusion.get("geometry")
+        sensors = (len(geometry) // 3 if isinstance(geometry, list) else 0) or CONFIGURATIONS[self.imu.configuration].shape[0]
         for i, fault in enumerate(self.faults):
             word, _, number = fault.target.partition("_")
             if number.isdecimal() and int(number) >= sensors:

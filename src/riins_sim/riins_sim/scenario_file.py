@@ -55,7 +55,9 @@ def parse(text: str, name: str) -> tuple[dict[str, Any], dict[tuple[str, ...], i
         node = loader.get_single_node()
         lines: dict[tuple[str, ...], int] = {}
         if not isinstance(node, yaml.MappingNode):
-            raise ScenarioError(f"{name}:1: a scenario is a mapping of sections, not {'empty' if node is None else 'a list or a word'}")
+            raise ScenarioError(
+                f"{name}:1: a scenario is a mapping of sections; this file {'is empty' if node is None else 'holds a list or a word'}"
+            )
         _walk(node, (), lines, name)
         values: dict[str, Any] = loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
@@ -63,6 +65,10 @@ def parse(text: str, name: str) -> tuple[dict[str, Any], dict[tuple[str, ...], i
         raise ScenarioError(f"{name}:{line}: {error.problem or error.context}") from None
     except yaml.YAMLError as error:
         raise ScenarioError(f"{name}:1: {str(error).splitlines()[0]}") from None
+    except ScenarioError:
+        raise
+    except ValueError as error:  # a date that is none, a number of thousands of digits
+        raise ScenarioError(f"{name}: a value cannot be read: {error}") from None
     finally:
         if loader is not None:
             loader.dispose()
@@ -133,4 +139,5 @@ def find(path_or_name: str | Path) -> Path:
         known = names()
         what = f'no scenario "{word}"{nearest(word, known)}' if word else "no scenario is named"
         raise ScenarioError(f"{what}; shipped: {', '.join(known) or 'none found'}")
-    raise ScenarioError(f"{word}: no such file")
+    wrong = "a directory" if path.is_dir() else "no regular file" if path.exists() else "no such file"
+    raise ScenarioError(f"{word}: {wrong}; a YAML file or the name of a shipped scenario is wanted: {', '.join(names()) or 'none found'}")

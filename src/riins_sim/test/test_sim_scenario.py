@@ -60,6 +60,7 @@ def test_the_good_one():
         ("name: small", "name: small one", 1, "letters, digits"),
         ("name: small\n", "", 1, '"name" is missing'),
         ("duration_s: 60", "duration_s: 60\nexpect: {position_rms_m: 3}", 3, "{min: .., max: ..} or a list"),
+        ("duration_s: 60", "duration_s: 60\nnavigator: gps", 3, "must be a mapping of names to values, not 'gps'"),
         ("duration_s: 60", "duration_s: 60\nimu_rate_hz: 12.5", 3, "must be a whole number"),
         ("duration_s: 60", "duration_s: 60\noutages: [{target: imu, start_s: 1, end_s: 2}]", 3, "must be one of gps, bds, doppler"),
     ],
@@ -78,6 +79,12 @@ def test_errors_name_the_line(old, new, line, words):
 def test_no_scenario_at_all(text):
     with pytest.raises(ScenarioError, match=r"^bad\.yaml:1: "):
         from_yaml(text, "bad.yaml")
+
+
+@pytest.mark.parametrize("value", ["2020-13-45", "9" * 5000])
+def test_a_value_that_yaml_cannot_read(value):
+    with pytest.raises(ScenarioError, match=r"^bad\.yaml: a value cannot be read: "):
+        from_yaml(GOOD.replace("duration_s: 60", f"duration_s: {value}"), "bad.yaml")
 
 
 def test_round_trip_through_yaml(voyage):
@@ -121,8 +128,9 @@ def test_finding_scenarios(tmp_path, monkeypatch):
         load("")
     with pytest.raises(ScenarioError, match=r'no scenario "harbur" \(did you mean "harbour"\?\); shipped: .*voyage_12h'):
         load("harbur")
-    with pytest.raises(ScenarioError, match="no such file"):
-        load("nowhere/harbour.yaml")
+    for word, said in (("nowhere/harbour.yaml", "no such file"), ("/dev/null", "no regular file"), (str(tmp_path), "a directory")):
+        with pytest.raises(ScenarioError, match=f"{word}: {said}; a YAML file or the name of a shipped scenario is wanted: .*harbour"):
+            load(word)
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ScenarioError, match="cannot be read"):
         load(path)
