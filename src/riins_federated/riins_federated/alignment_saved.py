@@ -31,8 +31,8 @@ def read_heading(path: str | Path) -> tuple[tuple[float, float] | None, str]:
         return None, f"no saved heading: {path}: {error.strerror or error}"
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError):
         return None, f"no saved heading: {path} does not hold heading_deg and sigma_deg"
-    if not (math.isfinite(heading) and math.isfinite(sigma) and sigma > 0.0):
-        return None, f"no saved heading: {path} holds numbers that are none"
+    if not (abs(heading) <= 360.0 and 0.0 < sigma <= 90.0):  # NaN is neither
+        return None, f"no saved heading: {path} holds heading_deg {heading:g} (-360 .. 360 is wanted) and sigma_deg {sigma:g} (0 .. 90, not 0)"
     return (math.radians(heading), math.radians(sigma)), f"saved heading {heading:.2f} deg, 1 sigma {sigma:.3f}, of {path}"
 
 

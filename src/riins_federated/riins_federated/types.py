@@ -94,10 +94,14 @@ class InitialState:
             return "the initial state holds a value that is not finite"
         if abs(self.lat) > np.radians(89.9):
             return "the initial latitude is beyond 89.9 deg: NED is singular at the poles"
+        if abs(self.lon) > 2.0 * np.pi or abs(self.h) > 1e5:
+            return "the initial longitude must be within 360 deg, the initial height within 1e5 m"
         if self.covariance is not None:
             if np.shape(self.covariance) != (15, 15) or not np.isfinite(self.covariance).all():
                 return "the initial covariance must be 15 x 15 and finite"
-            sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+            if (np.diag(self.covariance) < 0.0).any():
+                return "the initial covariance holds a negative variance"
+            sigma = np.sqrt(np.diag(self.covariance))
             scale = np.where(sigma > 0.0, sigma, 1.0)  # units differ by 1e8
             if np.linalg.eigvalsh(self.covariance / np.outer(scale, scale)).min() < -1e-9:
                 return "the initial covariance is not positive semidefinite"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from riins_core.ins_error import State
 from riins_core.rotation import dcm_from_euler, exp_so3
 from riins_federated.aiding import noise, reported_covariance_ok, white_inflation
 from riins_federated.aids import make
+from riins_federated.alignment_saved import read_heading
 from riins_federated.information_sharing import checked_shares
 from riins_federated.state_blocks import StateModel
 from riins_federated.types import InitialState
@@ -75,9 +77,30 @@ def test_initial_covariance_takes_the_given_one_and_refuses_nonsense() -> None:
     assert P[STATES.places["doppler.scale"], STATES.places["doppler.scale"]] == pytest.approx(1e-6)
     assert state.problem() == ""
     assert "finite" in replace(state, lat=np.nan).problem()
-    assert "semidefinite" in replace(state, covariance=given - 5.0 * np.eye(15)).problem()
+    wrong = given.copy()
+    wrong[6, 9] = wrong[9, 6] = 20.0
+    assert "semidefinite" in replace(state, covariance=wrong).problem()
+    assert "negative variance" in replace(state, covariance=np.diag([*np.ones(14), -1e-14])).problem()  # in SI, where a bias is small
     assert "positive" in replace(state, covariance=None, sigma_position=0 * third).problem()
     assert "singular" in replace(state, lat=np.pi / 2).problem()
+    assert "longitude" in replace(state, lon=10.0).problem() and "height" in replace(state, h=-1e6).problem()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("heading_deg: .nan\nsigma_deg: 0.1", "holds heading_deg nan (-360 .. 360 is wanted)"),
+        ("heading_deg: 4000\nsigma_deg: 0.1", "holds heading_deg 4000 (-360 .. 360 is wanted)"),
+        ("heading_deg: 10\nsigma_deg: -0.1", "sigma_deg -0.1 (0 .. 90, not 0)"),
+        ("heading_deg: 10\nsigma_deg: .inf", "sigma_deg inf"),
+        ("[10, 0.1]", "does not hold heading_deg and sigma_deg"),
+        ("heading_deg: [", "does not hold heading_deg and sigma_deg"),
+    ],
+)
+def test_a_saved_heading_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "heading.yaml").write_text(text)
+    found, words = read_heading(tmp_path / "heading.yaml")
+    assert found is None and said in words and "\n" not in words
 
 
 def test_shares_must_conserve_information() -> None:
