@@ -137,6 +137,11 @@ class AidModel(ABC, Generic[S]):
         self.n, self.at = 0, {}  # type: ignore[var-annotated]
         self.lever = np.array(getattr(settings, "lever_arm_m", (0.0, 0.0, 0.0)))
 
+    @property
+    def frame(self) -> str:
+        """Frame of the components of an innovation."""
+        return "map_ned"
+
     def own(self) -> list[Block]:
         """States of this type of aid, by `state`; those of sigma 0 are off."""
         return []

@@ -103,7 +103,7 @@ class LocalFilter:
             last.accepted_ns,
         )
         told = verdict.innovation, verdict.sigma, verdict.standardized, verdict.statistic, verdict.threshold
-        return Judged(stamp_ns, self.name, *told, accepted, reason), change
+        return Judged(stamp_ns, self.name, *told, accepted, reason, self.model.frame), change
 
     def take_out(self, stamp_ns: int) -> Change | None:
         """The separation of solutions has found it faulty: what it had put in is out of the master, its measurement of this moment too."""

@@ -218,6 +218,7 @@ class Judged:
     reason : Reason, NONE when accepted; SEPARATION: nis and threshold are those of the separation
     """
 
+    frame : of the components of innovation and sigma
     stamp_ns: int
     name: str
     innovation: Array
@@ -229,6 +230,7 @@ class Judged:
     reason: Reason
 
 
+    frame: str = "map_ned"
 @dataclass(frozen=True)
 class TakenOut:
     """What an aid had put in has been taken out of the solution.

@@ -357,3 +357,10 @@ def test_the_new_type_of_the_page_works(tmp_path: Path, monkeypatch: pytest.Monk
         states.correct(wrong, estimates, -x)
         slope = (model.measurement(aid, pose(wrong, np.zeros(3), np.zeros(3)), estimates).z - there.z) / x[i]
         assert slope == pytest.approx(there.H[:, i], abs=1e-2), states.labels[i]
+
+
+def test_an_innovation_says_in_which_frame_its_components_are() -> None:
+    frames = {kind: make("one", build(model.Settings, {"type": kind})).frame for kind, model in AID_MODELS.items()}
+    own = {"body_velocity", "beam_velocity", "water_velocity", "odometer"}
+    assert frames == {**dict.fromkeys(AID_MODELS, "map_ned"), **dict.fromkeys(own, "one_link"), "zero_velocity": "imu_link"}
+    assert make("log", build(AID_MODELS["body_velocity"].Settings, {"type": "body_velocity", "frame": "dvl"})).frame == "dvl"

@@ -20,7 +20,7 @@ LEVELS = {"ok": 0, "warn": 1, "error": 2, "stale": 3}  # diagnostic_msgs/Diagnos
 def innovation(judged: Any) -> Fields:
     """riins_msgs/Innovation of a riins_federated Judged."""
     return {
-        "header": header(int(judged.stamp_ns), "doppler_link" if judged.name == "doppler" else MAP_NED),
+        "header": header(int(judged.stamp_ns), judged.frame),
         "subfilter": judged.name,
         "innovation": np.asarray(judged.innovation, np.float64),
         "sigma": np.asarray(judged.sigma, np.float64),

@@ -303,8 +303,9 @@ def test_status_messages() -> None:
         threshold=9.0,
         accepted=True,
         reason=0,
+        frame="log_link",
     )
-    assert convert.fill(Innovation, fields.innovation(judged)).header.frame_id == "doppler_link"
+    assert convert.fill(Innovation, fields.innovation(judged)).header.frame_id == "log_link"
     covariance = convert.fill(NavCovariance, fields.nav_covariance(solution(), [f"s{i} [m]" for i in range(15)]))
     assert np.array_equal(np.reshape(covariance.covariance, (15, 15)), SPD)
     array = convert.fill(DiagnosticArray, fields.diagnostics(STAMP, [("imu_fusion: gyros", "warn", "gyro_1 isolated", {"lost": 3})]))

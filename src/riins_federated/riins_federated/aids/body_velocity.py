@@ -90,6 +90,11 @@ T = TypeVar("T", bound=MountedSettings)
 class MountedModel(AidModel[T]):
     """What velocity sensors with a mounting share: their states yaw, pitch and scale."""
 
+    @property
+    def frame(self) -> str:
+        """That of the sensor: components forward, starboard, down, or along its beams."""
+        return self.settings.frame or f"{self.name}_link"
+
     def own(self) -> list[Block]:
         """Mounting yaw and pitch, and the scale factor, where they are not known."""
         s = self.settings

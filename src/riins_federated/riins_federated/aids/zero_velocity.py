@@ -36,6 +36,11 @@ class ZeroVelocity(AidModel[ZeroVelocitySettings]):
     kind, Settings, leaf = "zero_velocity", ZeroVelocitySettings, "velocity"
     inputs = {"": Input("geometry_msgs/msg/TwistWithCovarianceStamped", read_doppler)}
 
+    @property
+    def frame(self) -> str:
+        """The axes of the body."""
+        return "imu_link"
+
     def difference(self, aid: Aid, pose: Pose, parameters: Array) -> Measurement:
         """Innovation, H and R of a velocity of zero."""
         v_b = pose.C_nb.T @ pose.v_n + cross(pose.rate_b, self.lever + self.value(parameters, "lever"))
