@@ -227,9 +227,13 @@ def test_faults_are_latched_injected_and_cleared(graph):
         (msgs.Fault(target="doppler", type=9, size=1.0), "9"),
         (msgs.Fault(target="doppler", type=0, size=1.0, axis="north"), "axis"),
         (msgs.Fault(target="doppler", type=0, size=1.0, end=late), "end after"),
+        (msgs.Fault(target="doppler", type=1, slope=1.0, start=to_stamp(graph.start_at_ns - S)), "-1.000 s after the start of the run"),
+        (msgs.Fault(target="doppler", type=0, size=1.0, start=to_stamp(graph.start_at_ns + 10**8 * S)), "which lasts 400 s"),
     ):
         answer = graph.call(InjectFault, "doppler/inject_fault", InjectFault.Request(fault=bad))
         assert not answer.success and words in answer.message
+    answer = graph.call(ClearFaults, "doppler/clear_faults", ClearFaults.Request(target="gps"))
+    assert not answer.success and answer.message == "this node has no gps"
 
 
 @pytest.mark.parametrize(

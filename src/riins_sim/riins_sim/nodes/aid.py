@@ -15,7 +15,7 @@ from riins_node.parameters import ParameterError
 from riins_node.runner import run
 
 from ..scenario import Scenario
-from .common import SimNode
+from .common import SensorNode
 
 
 class Served(NamedTuple):
@@ -28,7 +28,7 @@ class Served(NamedTuple):
     content: Callable[[int, Any, int], fields.Fields]
 
 
-class AidNode(SimNode):
+class AidNode(SensorNode):
     """Publishes the measurements of one aid."""
 
     def __init__(self, served: Served) -> None:

@@ -1,11 +1,12 @@
 """What the simulated sensors have in common as nodes: parameters, scenario, pacing, fault services.
 
-Lives here: `SimSettings`, `SimNode`.
+Lives here: `SimSettings`, `SimNode`, `SensorNode`.
 Does not live here: what a sensor reads (riins_sim.sensors), what a message holds (riins_node.fields).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,35 +37,25 @@ class SimSettings:
 
 
 class SimNode(Node):
-    """Base of the simulated sensors.
+    """Base of the nodes of a simulated run.
 
     Parameters
     ----------
     name : of the node
-    targets : what the faults of this node may be put on: "gyro", "accel" or the name of an aid; empty: no fault services
-    frame_id : of its messages
     """
 
-    def __init__(self, name: str, targets: Sequence[str] = (), frame_id: str = "") -> None:
+    def __init__(self, name: str) -> None:
         super().__init__(name)
         self.settings = self._declare()
         self.scenario = scenarios.load(self.settings.scenario).with_seed(self.settings.seed)
-        self.frame_id = frame_id
-        self.faults = self.scenario.fault_schedule().only(targets)
-        self._targets = targets
         self._streams: list[Stream] = []
 
     def _declare(self) -> SimSettings:
         return declare(self, SimSettings)
 
     def begin(self) -> None:
-        """Start the clock and the fault services; call it when everything slow (trajectory, compilation) is done."""
+        """Start the clock; call it when everything slow (trajectory, compilation) is done."""
         self.pacer = Pacer(self, self.settings.start_at_ns, self.settings.rate)
-        if self._targets:
-            self._fault_publisher = self.create_publisher(FaultArray, "truth/faults", qos.latched(), qos_overriding_options=qos.overridable())
-            self.create_service(InjectFault, "~/inject_fault", self._inject)
-            self.create_service(ClearFaults, "~/clear_faults", self._clear)
-            self._publish_faults()
 
     def pace(self, period_ns: int, samples: int, emit: Any, k_start: int | None = None) -> Stream:
         """Call `emit(k0, m)` for samples k_start .. samples as they fall due; then the stream ends."""
@@ -85,9 +76,34 @@ class SimNode(Node):
         self.get_logger().info(f"{self.scenario.name}: start at {start} ns, first sample {stream.next_k}, {rate:g} x real time")
         return stream
 
+
+class SensorNode(SimNode, ABC):
+    """Base of the simulated sensors, with the services that put faults on them.
+
+    Parameters
+    ----------
+    name : of the node
+    targets : what its faults may be put on: "gyro", "accel" or the name of an aid
+    frame_id : of its messages
+    """
+
+    def __init__(self, name: str, targets: Sequence[str], frame_id: str) -> None:
+        super().__init__(name)
+        self.frame_id = frame_id
+        self.faults = self.scenario.fault_schedule().only(targets)
+        self._targets = targets
+
+    def begin(self) -> None:
+        """Start the clock and the fault services."""
+        super().begin()
+        self._fault_publisher = self.create_publisher(FaultArray, "truth/faults", qos.latched(), qos_overriding_options=qos.overridable())
+        self.create_service(InjectFault, "~/inject_fault", self._inject)
+        self.create_service(ClearFaults, "~/clear_faults", self._clear)
+        self._publish_faults()
+
+    @abstractmethod
     def next_stamp_ns(self) -> int:
         """Stamp of the next sample, ns since the start."""
-        raise NotImplementedError
 
     def _inject(self, request: InjectFault.Request, response: InjectFault.Response) -> InjectFault.Response:
         try:
@@ -97,6 +113,9 @@ class SimNode(Node):
             fault = Fault(**{**values, "type": FaultType(values["type"])})
             if not FaultSchedule([fault]).only(self._targets).faults or not self._exists(fault):
                 raise SettingError(f"this node has no {fault.target}")
+            if not 0 <= fault.start_ns <= round(self.scenario.duration_s * 1e9):  # a ramp of years, or a fault that never comes
+                late = f"{fault.start_ns * 1e-9:.3f} s after the start of the run, which lasts {self.scenario.duration_s:g} s"
+                raise SettingError(f"the fault is to begin {late}")
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
@@ -110,9 +129,10 @@ class SimNode(Node):
         return True
 
     def _clear(self, request: ClearFaults.Request, response: ClearFaults.Response) -> ClearFaults.Response:
-        response.cleared = self.faults.clear(request.target)
-        response.success = True
-        response.message = f"{response.cleared} faults cleared"
+        word = request.target.partition("_")[0]
+        response.success = request.target in ("", *self._targets) or word in self._targets
+        response.cleared = self.faults.clear(request.target) if response.success else 0
+        response.message = f"{response.cleared} faults cleared" if response.success else f"this node has no {request.target}"
         self._publish_faults()
         return response
 

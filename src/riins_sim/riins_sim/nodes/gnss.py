@@ -17,10 +17,10 @@ from riins_node.parameters import ParameterError
 from riins_node.runner import run
 
 from ..sensors import PositionSim
-from .common import SimNode
+from .common import SensorNode
 
 
-class GnssNode(SimNode):
+class GnssNode(SensorNode):
     """Publishes sensor_msgs/NavSatFix and, with a fix, the velocity of the antenna in ENU."""
 
     def __init__(self, name: str) -> None:

@@ -15,10 +15,10 @@ from riins_node.runner import run
 
 from ..faults import Fault
 from ..sensors import RedundantImuSim
-from .common import SimNode
+from .common import SensorNode
 
 
-class RimuNode(SimNode):
+class RimuNode(SensorNode):
     """Publishes riins_msgs/RedundantImu at the IMU rate."""
 
     def __init__(self) -> None:
