@@ -19,6 +19,17 @@ def test_a_copy_without_a_fault_is_the_twin_itself(under_way):
     np.testing.assert_array_equal(again.covariance, under_way.twin.covariance)
 
 
+def test_errors_keep_to_their_protection_levels(under_way):
+    """Position and heading, and the levels are no wall of infinities."""
+    found = fault_draws.integrity(under_way.twin, under_way.truth(under_way.twin.track))
+    assert found.shape == (4, len(under_way.twin.track.stamp_ns)) and np.isfinite(found).all()
+    for error, level in (found[:2], found[2:]):
+        assert (error < level).all() and np.median(level) < 30.0 * np.sqrt(np.mean(error**2))
+    beyond = found.copy()
+    beyond[2, :10] = 10.0
+    assert [made.ok for made in fault_draws.integrity_rows("without a fault", [found, beyond])] == [True, False]
+
+
 def test_draws_are_addressed_by_their_number_and_cover_what_they_should():
     sigma = {name: np.ones(2) for name in fault_draws.AIDS}
     faults = [fault_draws.draw(n, sigma) for n in range(400)]

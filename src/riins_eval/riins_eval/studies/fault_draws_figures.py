@@ -1,4 +1,4 @@
-"""Figures of the drawn faults: distance from the fault-free twin against size, and error against protection radius (Stanford plot).
+"""Figures of the drawn faults: distance from the fault-free twin against size, and errors against protection levels (Stanford plots).
 
 Lives here: `figures`, made of what the study has measured.
 Does not live here: the experiment and its numbers (fault_draws.py).
@@ -6,6 +6,7 @@ Does not live here: the experiment and its numbers (fault_draws.py).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ _MARKS = {FaultType.STEP: "o", FaultType.RAMP: "^", FaultType.NOISE: "x", FaultT
 
 
 def figures(found: Sequence[Outcome], quiet: Sequence[Array]) -> list[Figure]:
-    """Distance against size, and the Stanford plot."""
+    """Distance against size, and the Stanford plots of position and heading."""
 
     def draw_shift(canvas: Any) -> None:
         axes = canvas.subplots(1, len(AIDS), sharey=True)
@@ -38,11 +39,10 @@ def figures(found: Sequence[Outcome], quiet: Sequence[Array]) -> list[Figure]:
             ax.legend(fontsize=8)
         axes[0].set_ylabel("largest distance from the fault-free twin, m")
 
-    def draw_stanford(canvas: Any) -> None:
+    def draw_stanford(first: int, scale: float, what: str, canvas: Any) -> None:
         axes = canvas.subplots(1, 2, sharey=True)
-        pairs = (("without a fault", quiet), ("with a fault", [np.array([o.error, o.protection]) for o in found]))
-        for ax, (title, some) in zip(axes, pairs, strict=True):
-            error, level = np.concatenate(some, axis=1)
+        for ax, (title, some) in zip(axes, (("without a fault", quiet), ("with a fault", [o.integrity for o in found])), strict=True):
+            error, level = np.concatenate([one[first : first + 2] for one in some], axis=1) / scale
             usable = np.isfinite(level)
             top = float(np.quantile(level[usable], 0.999)) * 1.2 if usable.any() else 1.0
             edges = np.linspace(0.0, top, 120)
@@ -50,11 +50,14 @@ def figures(found: Sequence[Outcome], quiet: Sequence[Array]) -> list[Figure]:
                 np.clip(error[usable], 0.0, top), np.clip(level[usable], 0.0, top), bins=(edges, edges), norm=LogNorm(), cmap="viridis"
             )
             ax.plot([0.0, top], [0.0, top], color="#d55e00", lw=1)
-            ax.set(xlabel="horizontal error, m", title=f"{title}: {int(np.sum(error > level))} of {len(error)} epochs beyond")
-        axes[0].set_ylabel("protection radius, m")
+            ax.set(xlabel=what, title=f"{title}: {int(np.sum(error > level))} of {len(error)} epochs beyond")
+        axes[0].set_ylabel("protection level")
         canvas.colorbar(image, ax=axes, label="epochs")
 
     return [
         Figure("draws-distance", "How far a fault draws the position, against its size", draw_shift),
-        Figure("draws-stanford", "Error against protection radius (Stanford plot)", draw_stanford),
+        Figure("draws-stanford", "Error against protection radius (Stanford plot)", functools.partial(draw_stanford, 0, 1.0, "horizontal error, m")),
+        Figure(
+            "draws-stanford-heading", "The same of the heading", functools.partial(draw_stanford, 2, float(np.radians(1.0)), "heading error, deg")
+        ),
     ]

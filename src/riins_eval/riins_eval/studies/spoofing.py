@@ -29,7 +29,7 @@ QUICK_VOYAGES = 3
 
 
 class Pull(NamedTuple):
-    """One pull: isolated after so many seconds (NaN: never); distance from the twin then (or at the end), largest, last, m; (e,) of it all."""
+    """One pull: isolated after so many seconds (NaN: never); distance from the twin just before (or at the end), largest, last, m; (e,) of it all."""
 
     delay_s: float
     then: float
@@ -49,10 +49,10 @@ def pulled(under_way: Voyage, names: Sequence[str], rate: float) -> Pull:
     isolated = [change for change in lane.health if change.state == ISOLATED and change.stamp_ns > start]
     right = [change.stamp_ns for change in isolated if change.target in names]
     delay = (min(right) - start) * 1e-9 if right else np.nan
-    at = int(np.searchsorted(lane.track.stamp_ns, min(right))) if right else len(shift) - 1
+    at = int(np.searchsorted(lane.track.stamp_ns, min(right))) if right else len(shift)
     seconds = np.asarray((lane.track.stamp_ns - start) * 1e-9, np.float64)
     wrong = any(change.target not in names for change in isolated)
-    return Pull(delay, float(shift[min(at, len(shift) - 1)]), float(shift.max()), float(shift[-1]), seconds, shift, wrong)
+    return Pull(delay, float(shift[max(at - 1, 0)]), float(shift.max()), float(shift[-1]), seconds, shift, wrong)
 
 
 def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Sequence[Figure]]:
@@ -68,7 +68,10 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
     for (name, rate), pulls in found.items():
         delays = np.array([p.delay_s for p in pulls])
         seen = np.isfinite(delays)
-        when = f"isolated in {seen.mean():.0%} of the runs" + (f", after {np.median(delays[seen]):.0f} s in the median" if seen.any() else "")
+        when = f"isolated in {seen.mean():.0%} of the runs"
+        if seen.any():
+            then = np.median([p.then for p in pulls if np.isfinite(p.delay_s)])
+            when += f", in the median after {np.median(delays[seen]):.0f} s, at {then:.0f} m"
         amiss = sum(p.wrong for p in pulls)
         rows.append(row(None, f"{name} pulled at {rate:g} m/s: largest distance from the fault-free twin, m", [p.largest for p in pulls],
                         centre=np.median, remark=when + (f"; another aid isolated in {amiss} runs" if amiss else "")))  # fmt: skip
