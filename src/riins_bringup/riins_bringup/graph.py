@@ -303,7 +303,7 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
             "consumer",
             {**flatten(as_mapping(navigator)), **(datum or {})},
             subscribes=("imu/fused", "nav/initial_state", "nav/commands", "nav/align", *aids),
-            publishes=("nav/state", "nav/settled", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters", "nav/alignment"),
+            publishes=("nav/state", "nav/settled", "nav/inertial", "nav/odometry", "nav/fix", "imu/data", "nav/subfilters", "nav/alignment"),
         ),
     ]
     nodes += _bridge(settings)
@@ -315,17 +315,21 @@ def _consumers(settings: GraphSettings, fusion: Any, navigator: Any, configurati
 
 
 def _bridge(settings: GraphSettings) -> list[NodeSpec]:
-    """The nodes motion and nmea, where they are asked for."""
-    from riins_nmea.config import NmeaConfig
+    """The nodes motion and nmea, where they are asked for; what is simulated or played must not look like this ship, here and now."""
+    from riins_nmea.links import LinkError, parse_link, resolve
 
     nodes = []
     outputs = [word.strip() for word in settings.nmea.split(",") if word.strip()]
     if settings.motion or outputs:
         nodes.append(_spec(settings, "riins_nmea", "motion", "consumer", {}, subscribes=("nav/state",), publishes=("nav/motion",)))
     if outputs:
-        build(NmeaConfig, {"outputs": outputs})  # a wrong address is told before anything starts
+        try:  # a wrong address, or a host that is not known, is told before anything starts
+            for link in (parse_link(text, output=True) for text in outputs):
+                _ = link.device or resolve(link)
+        except (SettingError, LinkError) as error:
+            raise SettingError(f'"nmea": {error}', ("nmea",)) from None
         listens = ("nav/state", "nav/motion", "nav/subfilters")
-        nodes.append(_spec(settings, "riins_nmea", "nmea", "consumer", {"outputs": outputs}, subscribes=listens))
+        nodes.append(_spec(settings, "riins_nmea", "nmea", "consumer", {"outputs": outputs, "simulator": True}, subscribes=listens))
     return nodes
 
 

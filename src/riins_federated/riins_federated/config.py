@@ -15,6 +15,7 @@ from riins_core.settings import SettingError, declared, section, setting
 from .aid_inputs import check_aids
 from .aids import DEFAULT_AIDS, aid_settings
 from .alignment_settings import AlignmentSettings
+from .damping import DampingSettings, check_damping
 from .inertial_model import InertialModel
 from .known_height import HeightAid
 from .state_blocks import StateModel
@@ -60,7 +61,10 @@ class NavigatorConfig:
     )
     covariance_period_s: float = setting(1.0, "interval of the covariance propagation", "s", 0.01, 60.0)
     settle_period_s: float = setting(1.0, "interval of the settled state", "s", 0.01, 3600.0)
-    feedback_period_s: float = setting(0.0, "output correction for this long, then feedback; 0: feedback at every measurement", "s", 0.0, 1e6)
+    feedback_period_s: float = setting(
+        0.0, "output correction for this long, then feedback, and the uncorrected solution on nav/inertial; 0: feedback at every measurement",
+        "s", 0.0, 1e6,
+    )  # fmt: skip
     calibration_period_s: float = setting(10.0, "interval at which the fusion is told the inertial biases, measurement time; 0: never", "s", 0.0, 1e5)
     calibration_lead_s: float = setting(
         20.0, "they hold from this much later on: more than max_delay_s and what the fusion may be ahead (10 s offline)", "s", 0.05, 1e5
@@ -72,6 +76,7 @@ class NavigatorConfig:
     aids: tuple[str, ...] = setting(tuple(DEFAULT_AIDS), "names of the aids; each has a section of its own, whose type says what it is")
     aid: Mapping[str, Any] = declared("aids", aid_settings, DEFAULT_AIDS)
     height: HeightAid = section(HeightAid, "mean height")
+    damping: DampingSettings = section(DampingSettings, "horizontal damping")
     isolation: Isolation = section(Isolation, "fault test")
     separation: SolutionSeparation = section(SolutionSeparation, "separation of solutions")
     sharing: Sharing = section(Sharing, "information shares")
@@ -81,6 +86,7 @@ class NavigatorConfig:
     def __post_init__(self) -> None:
         StateModel(self.inertial, self.states)
         check_aids(self.aid)
+        check_damping(self.damping, self.aid, self.feedback_period_s)
         if self.calibration_lead_s <= self.max_delay_s:
             raise SettingError('"calibration_lead_s" must exceed "max_delay_s": it would come too late')
         limits = self.validity

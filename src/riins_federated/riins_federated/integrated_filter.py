@@ -24,6 +24,7 @@ from .aids import make
 from .aids.gnss_position import GnssPosition
 from .assembly import make_structure
 from .config import NavigatorConfig
+from .damping import make_damping
 from .error_filter import between, gather, transition
 from .known_height import HeightModel
 from .local_filter import LocalFilter
@@ -50,6 +51,8 @@ class _Motion:
     rate: Array  # last two samples, newest first
     force: Array
     noise: Array  # of SampleNoise
+    network: Array  # of HorizontalDamping
+    damped_ns: int  # stamp of the last measurement it has seen
     dt: float = 0.0
     stamp_ns: int = 0
     started_ns: int = 0
@@ -58,7 +61,7 @@ class _Motion:
 
     def copy(self) -> _Motion:
         fresh = replace(self)
-        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "swing", "rate", "force", "noise"):
+        for name in ("nav", "nav_before", "dtheta", "dv", "parameters", "sums", "swing", "rate", "force", "noise", "network"):
             setattr(fresh, name, getattr(self, name).copy())
         return fresh
 
@@ -83,6 +86,7 @@ class IntegratedFilter:
         self._sample_noise = SampleNoise(config)
         self._height = HeightModel(config.height)
         on = {name: settings for name, settings in config.aid.items() if settings.enabled}
+        self._damping = make_damping(config.damping, config.aid)
         models = [make(name, settings) for name, settings in on.items()]
         own = [block for model in models for block in model.blocks()]
         self.states = StateModel(config.inertial, config.states, [*own, *self._height.blocks()])
@@ -136,6 +140,8 @@ class IntegratedFilter:
             np.zeros((2, 3)),
             np.zeros((2, 3)),
             self._sample_noise.fresh(),
+            np.zeros(2),
+            initial.stamp_ns,
             stamp_ns=initial.stamp_ns,
             started_ns=initial.stamp_ns,
             reset_count=before.reset_count + 1 if before else 0,
@@ -187,12 +193,15 @@ class IntegratedFilter:
     def judge(self, index: int, aid: Aid) -> tuple[Judged, Change | None]:
         """Test a measurement of subfilter `index`, not later than the newest sample, and fuse it if it passes."""
         local = self.subfilters[index]
-        pose, parameters, x = self._estimated(self._pose(aid.stamp_ns))
+        nominal = self._pose(aid.stamp_ns)
+        pose, parameters, x = self._estimated(nominal)
         verdict = self._structure.judge(index, about(local.model.measurement(aid, pose, parameters), x))
         judged, change = local.judge(aid.stamp_ns, verdict, self._structure.separated(index))
         self._structure.take(index, verdict, judged.accepted)
         if index in self._receivers:
             self._fixes[index] = verdict.measurement
+        if judged.accepted and self._damping is not None and local.name == self._damping.aid:
+            self._damp(local.model.measurement(aid, nominal, self._running().parameters), aid.stamp_ns)
         return judged, change
 
     def fuse_height(self) -> None:
@@ -217,6 +226,7 @@ class IntegratedFilter:
             return
         self._shift(x, announced)
         self._structure.shift(x)
+        self._running().network[:] = 0.0  # what the log and the solution were apart is gone
 
     def damp_vertical(self) -> None:
         """Correct height and vertical velocity of the nominal state alone: without aids they run away, e-fold in ten minutes, and it with them."""
@@ -225,6 +235,16 @@ class IntegratedFilter:
         if x.any():
             self._shift(x)
             self._structure.shift(x)
+
+    def _damp(self, measurement: Measurement, stamp_ns: int) -> None:
+        """Turn the level of the nominal state by a measurement of the log against it, and the estimate of its error with it: the output stays."""
+        m = self._running()
+        assert self._damping is not None
+        x = np.zeros(self.states.n)
+        x[PHI] = -self._damping.turn(m.network, measurement, (stamp_ns - m.damped_ns) * 1e-9, float(m.nav[0]), float(m.nav[2]))
+        m.damped_ns = stamp_ns
+        self._shift(x, announced=True)
+        self._structure.shift(x)
 
     def recall(self, recall: Recall) -> None:
         """Take out of the nominal state what declared sensors have put in; the aids' corrections since, and the position, stay."""
@@ -288,6 +308,17 @@ class IntegratedFilter:
 
     def solution(self) -> NavSolution:
         """State at the newest sample, corrected by the estimate."""
+        protection = self._structure.protection(self._config.validity.integrity_risk)
+        return self._told(self._structure.x, self._structure.P, self.mode(), protection)
+
+    def inertial(self) -> NavSolution:
+        """State at the newest sample without the correction, and its mean square error by the estimate: P + x x'."""
+        x = self._structure.x
+        radius, heading = self._structure.protection(self._config.validity.integrity_risk)
+        protection = radius + math.hypot(x[0], x[1]), heading + abs(float(x[8]))
+        return self._told(np.zeros(len(x)), self._structure.P + np.outer(x, x), Mode.COASTING, protection)
+
+    def _told(self, x: Array, P: Array, mode: Mode, protection: tuple[float, float]) -> NavSolution:
         m = self._running()
         return solution(
             m.stamp_ns,
@@ -296,11 +327,11 @@ class IntegratedFilter:
             self.states,
             m.rate[0],
             m.force[0],
-            self._structure.x,
-            self._structure.P,
-            self.mode(),
+            x,
+            P,
+            mode,
             self._config.validity,
-            self._structure.protection(self._config.validity.integrity_risk),
+            protection,
             m.reset_count,
             m.reset,
         )

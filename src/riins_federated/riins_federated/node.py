@@ -38,6 +38,7 @@ from .types import Array, FederatedReport, InitialState, NavEvent, NavSolution, 
 OUTPUTS: dict[str, tuple[type, Any]] = {
     "nav/state": (msg.NavState, qos.navigation),
     "nav/settled": (msg.NavState, qos.navigation),
+    "nav/inertial": (msg.NavState, qos.navigation),
     "nav/covariance": (msg.NavCovariance, qos.navigation),
     "nav/innovations": (msg.Innovation, qos.navigation),
     "nav/odometry": (Odometry, qos.navigation),
@@ -211,6 +212,8 @@ class NavigatorNode(AutostartLifecycleNode):
             self._sequence += 1
         for settled in solutions:
             self._publish("nav/settled", fields.nav_state(settled, self._settled_sequence))
+            if settled.inertial is not None:
+                self._publish("nav/inertial", fields.nav_state(settled.inertial, self._settled_sequence))
             self._publish("nav/covariance", fields.nav_covariance(settled, self._navigator.labels))
             self._settled_sequence += 1
             for calibration in self._calibrator.take([settled]):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -241,7 +242,7 @@ class OrderedRun:
         for local in flt.subfilters:
             self._log.health(local.name, local.watch(stamp_ns, flt.started_ns))
         if stamp_ns >= due.settle:
-            self._log.add(stamp_ns, flt.solution())
+            self._log.add(stamp_ns, replace(flt.solution(), inertial=flt.inertial()) if period.feedback else flt.solution())
             due = due._replace(settle=next_due(due.settle, period.settle, stamp_ns))
         self._due = due
         margin = self._max_delay + 2 * period.covariance

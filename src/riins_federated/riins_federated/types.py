@@ -180,6 +180,7 @@ class NavSolution:
     protection_heading : rad, at the same risk
     reset_count : corrections larger than one sigma, and re-initialisations
     reset : (position [m], velocity [m/s], heading [rad]) of the last of them
+    inertial : the solution without output correction, of a settled epoch where there is such a correction
     """
 
     stamp_ns: int
@@ -200,6 +201,7 @@ class NavSolution:
     protection_heading: float
     reset_count: int
     reset: tuple[float, float, float]
+    inertial: NavSolution | None = None
 
 
 SettledEpoch = NavSolution
@@ -216,9 +218,9 @@ class Judged:
     nis, threshold : dimensionless, chi-square with m degrees of freedom
     accepted : it entered the navigation state, and was not taken out of it at once
     reason : Reason, NONE when accepted; SEPARATION: nis and threshold are those of the separation
+    frame : of the components of innovation and sigma
     """
 
-    frame : of the components of innovation and sigma
     stamp_ns: int
     name: str
     innovation: Array
@@ -228,9 +230,9 @@ class Judged:
     threshold: float
     accepted: bool
     reason: Reason
-
-
     frame: str = "map_ned"
+
+
 @dataclass(frozen=True)
 class TakenOut:
     """What an aid had put in has been taken out of the solution.
