@@ -57,6 +57,7 @@ class Lane:
         self._watch = SettleWatch(navigator.config)
         self._calibrator = Calibrator(navigator.config)
         self._tracks: list[Track] = []
+        self._inertial: list[Track] = []
         self._covariances: list[Floats] = []
         self._modes: list[Floats] = []
         self._judged: dict[str, list[Any]] = {}
@@ -91,6 +92,9 @@ class Lane:
             self._ended[-1] = dataclasses.replace(self._ended[-1], settle_s=self.alignment[-1].settle_s)
         if self.solutions:
             self._tracks.append(blocks.track_of(self.solutions))
+            alone = [s.inertial for s in self.solutions if s.inertial is not None]
+            if alone:
+                self._inertial.append(blocks.track_of(alone))
             self._covariances.append(np.array([s.P[_NEES[:, None], _NEES] for s in self.solutions]))
             self._modes.append(np.array([[int(s.mode), s.protection_radius] for s in self.solutions]))
         for one in self.judged:
@@ -104,6 +108,11 @@ class Lane:
     def track(self) -> Track:
         """Settled states so far."""
         return join_tracks(self._tracks)
+
+    @property
+    def inertial(self) -> Track | None:
+        """The inertial states without the correction, at the stamps of `track`; None where the correction is fed back continuously."""
+        return join_tracks(self._inertial) if self._inertial else None
 
     @property
     def alignments(self) -> list[Alignment]:

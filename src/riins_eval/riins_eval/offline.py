@@ -250,7 +250,7 @@ class _Voyage:
             twin=settled if self.same else self.twin.track.at(settled.stamp_ns) if self.twin else None,
             oracle=settled if self.same else self.oracle.track.at(settled.stamp_ns) if self.oracle else None,
             realtime_factor=realtime_factor, aid_fixes=fixes, expect=dict(self.scenario.expect), drift=self.pipeline.drift, ended_ns=end_ns,
-            alignments=lane.alignments,
+            alignments=lane.alignments, inertial=lane.inertial,
         )  # fmt: skip
 
 

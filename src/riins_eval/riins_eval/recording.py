@@ -151,7 +151,7 @@ class RunWriter:
         self._bag.write_block("/imu/fused", FUSED_IMU, block.stamp_ns, content)
 
     def settled(self, solutions: Sequence[Any], labels: Sequence[str]) -> None:
-        """Settled states with covariance, odometry and fix (riins_federated NavSolution)."""
+        """Settled states with covariance, odometry and fix, and the inertial ones beside them, if there are (riins_federated NavSolution)."""
         if not (self.nav and solutions):
             return
         stamps = np.array([s.stamp_ns for s in solutions], np.int64)
@@ -160,6 +160,9 @@ class RunWriter:
             self._frame = LocalFrame(first.lat, first.lon, first.h)
             self._bag.write_message("/nav/origin", FIX, fields.origin(first.stamp_ns, first.lat, first.lon, first.h), first.stamp_ns)
         self._bag.write_block("/nav/settled", NAV_STATE, stamps, blocks.solution_states(solutions, self._settled))
+        alone = [s.inertial for s in solutions if s.inertial is not None]
+        if len(alone) == len(solutions):
+            self._bag.write_block("/nav/inertial", NAV_STATE, stamps, blocks.solution_states(alone, self._settled))
         self._bag.write_block("/nav/odometry", ODOMETRY, stamps, blocks.odometries(solutions, self._frame))
         self._bag.write_block("/nav/fix", FIX, stamps, blocks.nav_fixes(solutions))
         for solution in solutions:

@@ -322,7 +322,7 @@ class _Run:
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
             expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
-            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignments=lane.alignments,
+            drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignments=lane.alignments, inertial=lane.inertial,
         )  # fmt: skip
 
 

@@ -270,6 +270,7 @@ class RunRecord:
     drift : (2, n), removed from each gyro [rad/s] and accelerometer [m/s^2] at the end of the run, None when not known
     ended_ns : stamp of the last IMU sample, 0: not known; for a run that was fused but not navigated
     alignments : how the navigator found its attitude, each time; empty: a state was given, or the run does not say
+    inertial : the inertial solution without output correction at the same stamps, None where there is none
     """
 
     name: str
@@ -297,6 +298,7 @@ class RunRecord:
     drift: Floats | None = None
     ended_ns: int = 0
     alignments: list[Alignment] = dataclasses.field(default_factory=list)
+    inertial: Track | None = None
 
     @property
     def start_ns(self) -> int:
@@ -321,6 +323,7 @@ class RunRecord:
             self,
             settled=cut(self.settled), truth=cut(self.truth), covariance=cut(self.covariance), mode=cut(self.mode),
             protection_radius=cut(self.protection_radius), twin=cut(self.twin), oracle=cut(self.oracle),
+            inertial=cut(self.inertial),
             judged={k: j.take((j.stamp_ns >= start_ns) & (j.stamp_ns <= stop_ns)) for k, j in self.judged.items()},
             health=[c for c in self.health if start_ns <= c.stamp_ns <= stop_ns],
             faults=[f for f in self.faults if f.start_ns <= stop_ns and f.end_ns > start_ns],
