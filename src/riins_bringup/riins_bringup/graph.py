@@ -324,8 +324,9 @@ def _bridge(settings: GraphSettings) -> list[NodeSpec]:
         nodes.append(_spec(settings, "riins_nmea", "motion", "consumer", {}, subscribes=("nav/state",), publishes=("nav/motion",)))
     if outputs:
         try:  # a wrong address, or a host that is not known, is told before anything starts
-            for link in (parse_link(text, output=True) for text in outputs):
-                _ = link.device or resolve(link)
+            for link in [parse_link(text, output=True) for text in outputs]:
+                if not link.device:
+                    resolve(link)
         except (SettingError, LinkError) as error:
             raise SettingError(f'"nmea": {error}', ("nmea",)) from None
         listens = ("nav/state", "nav/motion", "nav/subfilters")

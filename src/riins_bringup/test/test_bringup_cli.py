@@ -61,6 +61,7 @@ def test_help_imports_nothing_heavy():
         (["sail", "harbour", "--record", "nav"], "--out"),
         (["up", "harbour", "--namespace", "a b"], "'a b'"),
         (["bag", "play", "x", "--namespace", "1st"], "'1st'"),
+        (["up", "harbour", "--nmea", "udp://a..b:10110"], "\"nmea\": udp://a..b:10110: the host 'a..b' is not known"),
         (["up", "harbour", "--record", "/proc/no/bag"], "cannot write /proc/no/bag"),
         (["up", "harbour", "--json", "/proc/no/file"], "cannot write /proc/no/file"),
         (["sail", "harbour", "--json", "."], "cannot write ."),

@@ -140,9 +140,11 @@ def test_bridge_only_where_asked_and_a_wrong_address_at_once():
     graph = build_graph(settings_from_words(words))
     assert [n.name for n in graph.of("consumer")] == ["imu_fusion", "navigator", "motion", "nmea"]
     assert graph.node("nmea").parameters["outputs"] == ["udp://127.0.0.1:10110", "serial:///dev/ttyS0?baud=38400"]
+    assert graph.node("nmea").parameters["simulator"] is True
     heard = {topic for n in graph.of("consumer") for topic in n.publishes}
     assert set(graph.node("nmea").subscribes) <= heard
-    with pytest.raises(SettingError, match="udp://HOST:PORT"):
-        build_graph(GraphSettings(scenario="harbour", nmea="127.0.0.1:10110"))
+    for nmea, message in (("127.0.0.1:10110", "\"nmea\": '127.0.0.1:10110' is no address; udp://HOST:PORT"), ("udp://a..b:1", "is not known")):
+        with pytest.raises(SettingError, match=message):
+            build_graph(GraphSettings(scenario="harbour", nmea=nmea))
     with pytest.raises(SettingError, match="true or false"):
         settings_from_words({"motion": "perhaps"})

@@ -116,10 +116,12 @@ class NmeaConfig:
         for name in ("position", "velocity", "log", "water_log", "heading"):
             if not re.fullmatch("([A-Z]{2})?", getattr(self, name).talker):
                 raise SettingError(f'"{name}.talker" must be two capital letters or empty')
-        for text in self.outputs:
-            parse_link(text, output=True)
-        for text in self.inputs:
-            parse_link(text, output=False)
+        for name in ("outputs", "inputs"):
+            for i, text in enumerate(getattr(self, name)):
+                try:
+                    parse_link(text, output=name == "outputs")
+                except SettingError as error:
+                    raise SettingError(f'"{name}": {error}', (name, str(i))) from None
         if bool(self.inputs) != bool(self.wanted):
             missing = "no aid names a sentence (position.sentence, log.sentence, ...)" if self.inputs else '"inputs" is empty'
             raise SettingError(f"nothing can come in: {missing}")

@@ -1,6 +1,6 @@
 """Where sentences go and come from: UDP (unicast, broadcast, multicast) and serial lines.
 
-Lives here: `parse_link`, `Sender`, `Receiver` (a thread that waits for all inputs at once), `SerialLine`.
+Lives here: `parse_link`, `resolve`, `Sender`, `Receiver` (a thread that waits for all inputs at once), `SerialLine`.
 Does not live here: what the bytes mean (sentences.py, aids.py). A line that breaks is opened again every two seconds; pyserial is needed for
 serial lines alone.
 """
@@ -8,6 +8,7 @@ serial lines alone.
 from __future__ import annotations
 
 import contextlib
+import errno
 import ipaddress
 import os
 import select
@@ -96,6 +97,20 @@ def parse_link(text: str, output: bool) -> Link:
     except ValueError:
         raise SettingError(f"{text!r}: IPv4 addresses are wanted; 0.0.0.0 listens on every interface") from None
     return Link(text, host, port, interface, int(ttl))
+
+
+def resolve(link: Link) -> str:
+    """IP address of the host of a UDP link.
+
+    Raises
+    ------
+    LinkError
+        The host is not known.
+    """
+    try:
+        return socket.gethostbyname(link.host)
+    except (OSError, UnicodeError):  # the codec of host names refuses an empty label or one that is too long
+        raise LinkError(f"{link.text}: the host {link.host!r} is not known") from None
 
 
 class SerialLine:
@@ -209,10 +224,7 @@ class Sender:
         self._line = lines.line(link) if link.device else None
         self._socket: socket.socket | None = None
         if self._line is None:
-            try:
-                self._address = (socket.gethostbyname(link.host), link.port)  # once: a name server must not hold up every sentence
-            except (OSError, UnicodeError):  # the codec of host names refuses an empty label or one that is too long
-                raise LinkError(f"{link.text}: the host {link.host!r} is not known") from None
+            self._address = (resolve(link), link.port)  # once: a name server must not hold up every sentence
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -329,8 +341,8 @@ class Receiver:
 def _listen(link: Link) -> socket.socket:
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if link.multicast:
+        if link.multicast:  # any number may hear a group; of two that share another port, one would hear nothing
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             one.bind((link.host, link.port))  # to the group: datagrams for others on this port are not ours
             one.setsockopt(
                 socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, struct.pack("4s4s", socket.inet_aton(link.host), socket.inet_aton(link.interface))
@@ -340,7 +352,8 @@ def _listen(link: Link) -> socket.socket:
         one.setblocking(False)
     except OSError as error:
         one.close()
-        raise LinkError(f"{link.text} cannot be listened to: {_reason(error)}") from None
+        taken = "another program, or another nmea node, listens there" if error.errno == errno.EADDRINUSE else _reason(error)
+        raise LinkError(f"{link.text} cannot be listened to: {taken}") from None
     return one
 
 

@@ -7,6 +7,7 @@ Does not live here: what the bytes mean (test_nmea_aids.py).
 from __future__ import annotations
 
 import builtins
+import contextlib
 import os
 import pty
 import select
@@ -93,8 +94,16 @@ def test_udp_out_is_udp_in(address: str) -> None:
 def test_a_taken_port_an_unknown_host_and_a_refused_datagram_are_told() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
-        with pytest.raises(LinkError, match="cannot be listened to"):
+        with pytest.raises(LinkError, match="cannot be listened to: another program, or another nmea node, listens there"):
             Receiver([parse_link(f"udp://127.0.0.1:{one.getsockname()[1]}", False)], SerialLines(), lambda *_: None)
+    for address, shared in (("udp://0.0.0.0:{}", False), ("udp://239.192.7.9:{}?interface=127.0.0.1", True)):
+        link = parse_link(address.format(free_port()), False)
+        first = Receiver([link], SerialLines(), lambda *_: None)
+        try:
+            with contextlib.nullcontext() if shared else pytest.raises(LinkError, match="another nmea node"):
+                Receiver([link], SerialLines(), lambda *_: None).close()
+        finally:
+            first.close()
     for host in ("ship.invalid", "a..b", "x" * 70 + ".invalid"):
         with pytest.raises(LinkError, match="is not known"):
             Sender(parse_link(f"udp://{host}:9", True), SerialLines())
