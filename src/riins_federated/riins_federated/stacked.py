@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from riins_core.jit import jit
+from riins_core.jit import inner, jit
 from riins_core.kalman import cholesky_into
 
 from .types import Array
@@ -82,6 +82,30 @@ def predict_stack(X: Array, P: Array, Phi: Array, Q: Array, scale: Array) -> Non
                 P[one, j, i] = T[i, j]
 
 
+@inner
+def innovation_into(X: Array, P: Array, one: int, z: Array, H: Array, R: Array, dz: Array, PH: Array, S: Array) -> None:
+    """Kernel: of filter `one`, dz = z - H x, PH = H P (m, n) and S = H P H' + R written; H mostly zeros, P symmetric."""
+    n, m = X.shape[1], z.shape[0]
+    for a in range(m):
+        s = z[a]
+        PH[a, :] = 0.0
+        for k in range(n):
+            h = H[a, k]
+            if h != 0.0:
+                s -= h * X[one, k]
+                for j in range(n):
+                    PH[a, j] += h * P[one, k, j]
+        dz[a] = s
+    for a in range(m):
+        for b in range(a + 1):
+            s = 0.5 * (R[a, b] + R[b, a])
+            for k in range(n):
+                if H[b, k] != 0.0:
+                    s += PH[a, k] * H[b, k]
+            S[a, b] = s
+            S[b, a] = s
+
+
 @jit
 def judge_stack(
     X: Array, P: Array, rows: Rows, z: Array, H: Array, R: Array,
@@ -92,25 +116,9 @@ def judge_stack(
     S, L, PH = np.empty((m, m)), np.zeros((m, m)), np.empty((m, n))
     for r in range(rows.shape[0]):
         one = rows[r]
+        innovation_into(X, P, one, z, H, R, dz[r], PH, S)
         for a in range(m):
-            s = z[a]
-            PH[a, :] = 0.0
-            for k in range(n):
-                h = H[a, k]
-                if h != 0.0:
-                    s -= h * X[one, k]
-                    for j in range(n):
-                        PH[a, j] += h * P[one, k, j]
-            dz[r, a] = s
             standardized[r, a] = np.inf
-        for a in range(m):
-            for b in range(a + 1):
-                s = 0.5 * (R[a, b] + R[b, a])
-                for k in range(n):
-                    if H[b, k] != 0.0:
-                        s += PH[a, k] * H[b, k]
-                S[a, b] = s
-                S[b, a] = s
             sigma[r, a] = np.sqrt(S[a, a]) if S[a, a] > 0.0 else 0.0
         nis[r] = np.inf
         if not cholesky_into(S, L):
@@ -144,24 +152,7 @@ def update_stack(X: Array, P: Array, rows: Rows, z: Array, H: Array, R: Array) -
     T, u = np.empty((n, n)), np.empty(m)
     for r in range(rows.shape[0]):
         one = rows[r]
-        for a in range(m):
-            s = z[a]
-            PH[a, :] = 0.0
-            for k in range(n):
-                h = H[a, k]
-                if h != 0.0:
-                    s -= h * X[one, k]
-                    for j in range(n):
-                        PH[a, j] += h * P[one, k, j]
-            u[a] = s
-        for a in range(m):
-            for b in range(a + 1):
-                s = 0.5 * (R[a, b] + R[b, a])
-                for k in range(n):
-                    if H[b, k] != 0.0:
-                        s += PH[a, k] * H[b, k]
-                S[a, b] = s
-                S[b, a] = s
+        innovation_into(X, P, one, z, H, R, u, PH, S)
         if not cholesky_into(S, L):
             continue
         for a in range(m):  # K' = S^-1 (P H')': two triangular solves
