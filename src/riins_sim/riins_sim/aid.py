@@ -1,11 +1,12 @@
 """What simulated aids have in common: numbering and stamps, outages, and where and how fast a sensor beside base_link is.
 
-Lives here: `AidSim`, the base of the aids, and its kernels.
+Lives here: `AidSim`, the base of the aids, `RowAidSim`, that of those whose measurement is a row of numbers, and kernels.
 Does not live here: the sensors (sensors.py, further_sensors.py), faults (faults.py).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from riins_core.earth import radii_s
 from riins_core.jit import jit
 
-from .faults import Sample
+from .faults import FaultSchedule, Sample
 from .trajectory import Trajectory, Truth
 
 if TYPE_CHECKING:
@@ -49,6 +50,28 @@ class AidSim:
     def _dropouts(self, stamp: Stamps, k0: int) -> NDArray[np.bool_]:
         values = np.zeros((stamp.size, 3))
         return self._outages.apply_aid(self.name, stamp, k0, values, _never)
+
+
+class RowAidSim(AidSim, ABC):
+    """An aid of which each measurement is one row of numbers."""
+
+    @abstractmethod
+    def _clean(self, k0: int, truth: Truth) -> Array:
+        """Readings without faults, from number k0 on, one for each row of the truth: (m, d)."""
+
+    def _read(self, k0: int, m: int, faults: FaultSchedule | None) -> tuple[Stamps, Stamps, Truth, Array, NDArray[np.bool_]]:
+        """Numbers, stamps, truth, readings (m, d) and whether there is a message, of measurements k0 .. k0 + m - 1."""
+        k, stamp, truth = self._span(k0, m)
+        values = self._clean(k0, truth)
+        valid = self._dropouts(stamp, k0)
+        if faults is not None and faults.faults:
+            valid &= faults.apply_aid(self.name, stamp, k0, values, self._before)
+        return k, stamp, truth, values, valid
+
+    def _before(self, stamp_ns: int) -> Sample:
+        k = self._last_before(stamp_ns)
+        _, stamp, truth = self._span(k, 1)
+        return Sample(int(stamp[0]), k, self._clean(k, truth)[0])
 
 
 @jit

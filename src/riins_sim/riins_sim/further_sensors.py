@@ -18,8 +18,8 @@ from riins_core.noise import GaussMarkov, normal
 from riins_core.rotation import exp_so3_into
 from riins_core.sensor_errors import ARCSEC, PPM
 
-from .aid import AidSim, sensor_velocity, turned
-from .faults import FaultSchedule, Sample
+from .aid import RowAidSim, sensor_velocity, turned
+from .faults import FaultSchedule
 from .sensors import VelocityBlock
 from .trajectory import Trajectory, Truth
 
@@ -70,7 +70,7 @@ class AttitudeBlock:
     valid: NDArray[np.bool_]
 
 
-class OdometerSim(AidSim):
+class OdometerSim(RowAidSim):
     """An odometer: speed ahead with a scale factor error; sideways and down it says 0, with the sigma at which a wheel is believed to hold.
 
     Parameters
@@ -103,11 +103,7 @@ class OdometerSim(AidSim):
         -------
         VelocityBlock; the same bits however the measurements are split into blocks
         """
-        k, stamp, truth = self._span(k0, m)
-        v_b = self._clean(k0, truth)
-        valid = self._dropouts(stamp, k0)
-        if faults is not None and faults.faults:
-            valid &= faults.apply_aid(self.name, stamp, k0, v_b, self._before)
+        k, stamp, _, v_b, valid = self._read(k0, m, faults)
         return VelocityBlock(k, stamp, v_b, self.covariance, valid)
 
     def _clean(self, k0: int, truth: Truth) -> Array:
@@ -117,13 +113,8 @@ class OdometerSim(AidSim):
         reading[:, 0] = (1.0 + self.true_scale) * v_b[:, 0] + self._sigma * normal(self._seed, "odometer/white", k0, m, 1)[:, 0]
         return reading
 
-    def _before(self, stamp_ns: int) -> Sample:
-        k = self._last_before(stamp_ns)
-        _, stamp, truth = self._span(k, 1)
-        return Sample(int(stamp[0]), k, self._clean(k, truth)[0])
 
-
-class AltimeterSim(AidSim):
+class AltimeterSim(RowAidSim):
     """A barometric altimeter: height with a constant, a slowly varying (weather) and a white error.
 
     Parameters
@@ -146,11 +137,7 @@ class AltimeterSim(AidSim):
 
     def block(self, k0: int, m: int, faults: FaultSchedule | None = None) -> HeightBlock:
         """Measurements k0 .. k0 + m - 1; arguments as for `OdometerSim.block`."""
-        k, stamp, truth = self._span(k0, m)
-        h = self._clean(k0, truth)
-        valid = self._dropouts(stamp, k0)
-        if faults is not None and faults.faults:
-            valid &= faults.apply_aid(self.name, stamp, k0, h, self._before)
+        k, stamp, _, h, valid = self._read(k0, m, faults)
         return HeightBlock(k, stamp, h[:, 0], self.variance, valid)
 
     def _clean(self, k0: int, truth: Truth) -> Array:
@@ -162,13 +149,8 @@ class AltimeterSim(AidSim):
             h += self._markov.block(k0, m)
         return np.asarray(h)
 
-    def _before(self, stamp_ns: int) -> Sample:
-        k = self._last_before(stamp_ns)
-        _, stamp, truth = self._span(k, 1)
-        return Sample(int(stamp[0]), k, self._clean(k, truth)[0])
 
-
-class StarTrackerSim(AidSim):
+class StarTrackerSim(RowAidSim):
     """A star sensor: attitude against the local level, with a mounting error and white noise, where there are stars and the turn is slow enough.
 
     Parameters
@@ -196,13 +178,9 @@ class StarTrackerSim(AidSim):
 
     def block(self, k0: int, m: int, faults: FaultSchedule | None = None) -> AttitudeBlock:
         """Measurements k0 .. k0 + m - 1; arguments as for `OdometerSim.block`."""
-        k, stamp, truth = self._span(k0, m)
-        rph = self._clean(k0, truth)
-        valid = self._dropouts(stamp, k0)
-        valid &= np.square(truth.rate_nb_b).sum(axis=1) <= self._fastest**2
-        if faults is not None and faults.faults:
-            valid &= faults.apply_aid(self.name, stamp, k0, rph, self._before)
-        return AttitudeBlock(k, stamp, rph, self.covariance, valid)
+        k, stamp, truth, rph, valid = self._read(k0, m, faults)
+        slow = np.square(truth.rate_nb_b).sum(axis=1) <= self._fastest**2
+        return AttitudeBlock(k, stamp, rph, self.covariance, valid & slow)
 
     def _clean(self, k0: int, truth: Truth) -> Array:
         m = truth.t.size
@@ -210,11 +188,6 @@ class StarTrackerSim(AidSim):
         rph = np.empty((m, 3))
         _turned_attitude(truth.C_nb, turn, rph)
         return rph
-
-    def _before(self, stamp_ns: int) -> Sample:
-        k = self._last_before(stamp_ns)
-        _, stamp, truth = self._span(k, 1)
-        return Sample(int(stamp[0]), k, self._clean(k, truth)[0])
 
 
 @jit

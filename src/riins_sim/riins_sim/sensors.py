@@ -18,7 +18,7 @@ from riins_core.imu_array import CONFIGURATIONS, ImuArray
 from riins_core.noise import GaussMarkov, normal
 from riins_core.sensor_errors import KNOT, PPM, SensorErrors
 
-from .aid import AidSim, displaced, sensor_velocity, turned
+from .aid import AidSim, RowAidSim, displaced, sensor_velocity, turned
 from .faults import FaultSchedule, Sample
 from .trajectory import Trajectory, Truth
 
@@ -244,7 +244,7 @@ class PositionSim(AidSim):
         return Sample(int(stamp[0]), k, place[0], per_metre[0])
 
 
-class DopplerSim(AidSim):
+class DopplerSim(RowAidSim):
     """The Doppler log: velocity over ground at the log, along axes that are not quite the ship's.
 
     Parameters
@@ -271,11 +271,7 @@ class DopplerSim(AidSim):
 
     def block(self, k0: int, m: int, faults: FaultSchedule | None = None) -> VelocityBlock:
         """Measurements k0 .. k0 + m - 1; arguments as for `PositionSim.block`."""
-        k, stamp, truth = self._span(k0, m)
-        v_b = self._clean(k0, truth)
-        valid = self._dropouts(stamp, k0)
-        if faults is not None and faults.faults:
-            valid &= faults.apply_aid(self.name, stamp, k0, v_b, self._before)
+        k, stamp, _, v_b, valid = self._read(k0, m, faults)
         return VelocityBlock(k, stamp, v_b, self.covariance, valid)
 
     def _clean(self, k0: int, truth: Truth) -> Array:
@@ -284,8 +280,3 @@ class DopplerSim(AidSim):
         sensor_velocity(truth.C_nb, truth.v_n, truth.rate_nb_b, self._lever, v_b)
         turned(self._turn[None], v_b, reading)
         return reading
-
-    def _before(self, stamp_ns: int) -> Sample:
-        k = self._last_before(stamp_ns)
-        _, stamp, truth = self._span(k, 1)
-        return Sample(int(stamp[0]), k, self._clean(k, truth)[0])
