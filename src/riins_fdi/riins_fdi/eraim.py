@@ -7,7 +7,6 @@ Does not live here: the filters that give the solutions (riins_federated.structu
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -21,19 +20,6 @@ Array = NDArray[np.float64]
 
 _SINGULAR = 1e-3
 """Directions in which the separation has less variance than this part of the solution's own are not tested."""
-
-
-class Separation(NamedTuple):
-    """Verdict on two solutions of which one has left an aid out."""
-
-    statistic: float
-    """d' D^-1 d over the directions that can be tested"""
-    threshold: float
-    """of chi-square(dof); 0 where nothing can be tested"""
-    dof: int
-    alarm: bool
-    covariance: Array
-    """D = P_loo - P_all, (m, m), directions without a test set to zero"""
 
 
 def eraim_statistic(x: ArrayLike, P: ArrayLike, z: ArrayLike, H: ArrayLike, R: ArrayLike) -> float:
@@ -64,32 +50,9 @@ def eraim_statistic(x: ArrayLike, P: ArrayLike, z: ArrayLike, H: ArrayLike, R: A
     return float(residual @ residual)
 
 
-def solution_separation(x_all: ArrayLike, P_all: ArrayLike, x_loo: ArrayLike, P_loo: ArrayLike, pfa: float) -> Separation:
-    """Test the solution with all aids against one that has left an aid out.
-
-    Parameters
-    ----------
-    x_all, P_all : (m,), (m, m), what is compared (the horizontal position, say) with all aids
-    x_loo, P_loo : the same without the aid
-    pfa : false-alarm probability of one test; the statistic is correlated over minutes, so false onsets are fewer
-
-    Returns
-    -------
-    the verdict. The covariance of the difference is P_loo - P_all, since the solution with all aids is optimal and uses all the other one uses
-    (Brenner 1996). Just after one has been put in the place of the other it is nearly singular: those directions are left out.
-    """
-    x, P, x_without, P_without = (np.array(v, dtype=np.float64, ndmin=1) for v in (x_all, P_all, x_loo, P_loo))
-    covariance = np.empty_like(P)
-    statistic, dof = separation_into(x, P, x_without, P_without, np.arange(x.size), covariance)
-    if dof == 0:
-        return Separation(0.0, 0.0, 0, False, covariance)
-    threshold = nis_threshold(pfa, dof)
-    return Separation(statistic, threshold, dof, not statistic <= threshold, covariance)
-
-
 @jit
 def separation_into(x_all: Array, P_all: Array, x_loo: Array, P_loo: Array, states: NDArray[np.int64], D: Array) -> tuple[float, int]:
-    """Kernel of `solution_separation` over some of the states of two filters.
+    """Kernel: the solution with all aids against one that has left an aid out, d' D^-1 d over some of their states.
 
     Parameters
     ----------
@@ -99,7 +62,9 @@ def separation_into(x_all: Array, P_all: Array, x_loo: Array, P_loo: Array, stat
 
     Returns
     -------
-    statistic and degrees of freedom
+    statistic, chi-square distributed without a fault, and degrees of freedom; it is correlated over minutes, so false onsets are fewer than tests.
+    D is P_loo - P_all, since the solution with all aids is optimal and uses all the other one uses (Brenner 1996). Just after one has been put in
+    the place of the other it is nearly singular: those directions are left out.
     """
     m = states.shape[0]
     A, V, scale, e = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(m)
@@ -176,28 +141,6 @@ def eigen_into(A: Array, V: Array) -> None:
                 A[q, p] = 0.0
 
 
-def protection_level(
-    x_all: ArrayLike, P_all: ArrayLike, x_loo: ArrayLike, P_loo: ArrayLike, pfa: float, integrity_risk: float
-) -> float:  # fmt: skip
-    """Radius that the horizontal error of the solution with all aids exceeds unnoticed with no more than a stated probability, if this aid is faulty.
-
-    Parameters
-    ----------
-    x_all, P_all, x_loo, P_loo : (2,), (2, 2), horizontal position as in `solution_separation`
-    pfa : false-alarm probability of that test
-    integrity_risk : probability that the radius is exceeded although no alarm is given
-
-    Returns
-    -------
-    |d| that passes the test, or the one found where that is larger (an alarm that is not yet acted on), plus the error of the solution without the
-    aid: sqrt(threshold lambda(D)) + sqrt(chi-square^-1(risk) lambda(P_loo)), lambda the largest eigenvalue. The level of a navigator is the largest
-    over its aids, and not below that of its own noise. An upper bound: both are taken in their worst direction.
-    """
-    x, P = np.array([x_all, x_loo], dtype=np.float64), np.array([P_all, P_loo], dtype=np.float64)
-    unseen, quantile = quantiles(pfa, integrity_risk, 1)
-    return float(protection_levels(x, P, np.array([1]), np.array([0, 1]), -1, unseen, quantile)[0])
-
-
 @functools.lru_cache(maxsize=64)
 def quantiles(pfa: float, integrity_risk: float, tested: int) -> tuple[Array, Array]:
     """Thresholds of the separation test over two and over `tested` states, and quantiles of the chi-square of 2 and 1 dof; (2,) each."""
@@ -211,7 +154,7 @@ def quantiles(pfa: float, integrity_risk: float, tested: int) -> tuple[Array, Ar
 def protection_levels(
     X: Array, P: Array, rows: NDArray[np.int64], position: NDArray[np.int64], heading: int, unseen: Array, quantile: Array
 ) -> tuple[float, float]:  # fmt: skip
-    """Kernel: protection level of horizontal position and heading of filter 0 of several.
+    """Kernel: what the error of filter 0 of several exceeds unnoticed with no more than a stated probability, whichever aid is faulty.
 
     Parameters
     ----------
@@ -219,6 +162,12 @@ def protection_levels(
     rows : filters that have left an aid out
     position, heading : states, the latter -1 where there is none: its level is infinite
     unseen, quantile : of `quantiles`
+
+    Returns
+    -------
+    levels of horizontal position [m] and heading [rad]: |d| that passes the test, or the one found where that is larger (an alarm that is not yet
+    acted on), plus the error of the solution without the aid: sqrt(threshold lambda(D)) + sqrt(chi-square^-1(risk) lambda(P_loo)), lambda the
+    largest eigenvalue; the largest over the aids, and not below that of its own noise. An upper bound: both are taken in their worst direction.
     """
     a, b = position[0], position[1]
     level = np.sqrt(quantile[0] * largest_horizontal(P[0, a, a], P[0, b, b], P[0, a, b]))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from riins_core import kalman
-from riins_fdi.eraim import cross_check, eigen_into, eraim_statistic, protection_level, solution_separation
+from riins_fdi.eraim import cross_check, eigen_into, eraim_statistic, protection_levels, quantiles, separation_into
+from riins_fdi.innovation import nis_threshold
 from riins_fdi.innovation_tests import INNOVATION_TESTS, ImprovedChiSquare, Mewma, Nis
 from riins_fdi.innovation_thresholds import averaged_alarm_rate, improved_statistic, mewma_run_length
 
@@ -118,31 +119,46 @@ def test_extended_raim_is_the_nis(seed: int) -> None:
     assert eraim_statistic(x, P, z, H, R) == pytest.approx(kalman.innovation(x, P, z, H, R).nis, rel=1e-9)
 
 
+HORIZONTAL = np.array([0, 1])
+
+
+def _separated(x_all: np.ndarray, P_all: np.ndarray, x_loo: np.ndarray, P_loo: np.ndarray) -> tuple[float, int, np.ndarray]:
+    """Statistic, degrees of freedom and covariance of the kernel."""
+    D = np.empty((2, 2))
+    return *separation_into(x_all, P_all, x_loo, P_loo, HORIZONTAL, D), D
+
+
+def _level(x_all: np.ndarray, P_all: np.ndarray, x_loo: np.ndarray, P_loo: np.ndarray, risk: float) -> float:
+    """Horizontal protection level at a false-alarm probability of 1 %."""
+    return float(protection_levels(np.array([x_all, x_loo]), np.array([P_all, P_loo]), np.array([1]), HORIZONTAL, -1, *quantiles(0.01, risk, 1))[0])
+
+
 def test_separation_has_the_covariance_it_says() -> None:
-    """Two filters, one without the second aid: mean statistic 2, alarms as asked, and a level the error keeps to."""
+    """Two filters, one without the second aid: the statistic in matrices, mean 2, alarms as asked, and a level the error keeps to."""
     rng = np.random.default_rng(6)
-    P0, R1, R2 = np.diag([400.0, 100.0]), np.diag([900.0, 900.0]), np.diag([100.0, 100.0])
-    statistics, alarms, beyond = [], 0, 0
+    P0, R1, R2 = np.diag([400.0, 100.0]), np.array([[900.0, 300.0], [300.0, 900.0]]), np.diag([100.0, 100.0])
+    root = np.linalg.cholesky(R1)
+    statistics, beyond = [], 0
     for _ in range(2000):
         truth = rng.standard_normal(2) * np.sqrt(np.diag(P0))
-        z1, z2 = truth + 30.0 * rng.standard_normal(2), truth + 10.0 * rng.standard_normal(2)
+        z1, z2 = truth + root @ rng.standard_normal(2), truth + 10.0 * rng.standard_normal(2)
         x1, P1, _ = kalman.update(np.zeros(2), P0, z1, np.eye(2), R1)
         x2, P2, _ = kalman.update(x1, P1, z2, np.eye(2), R2)
-        found = solution_separation(x2, P2, x1, P1, 0.01)
-        statistics.append(found.statistic)
-        alarms += found.alarm
-        beyond += np.linalg.norm(x2 - truth) > protection_level(x2, P2, x1, P1, 0.01, 0.01)
+        statistic, dof, D = _separated(x2, P2, x1, P1)
+        assert dof == 2 and pytest.approx(P1 - P2, rel=1e-9) == D
+        assert statistic == pytest.approx((x2 - x1) @ np.linalg.solve(P1 - P2, x2 - x1), rel=1e-9)
+        statistics.append(statistic)
+        beyond += np.linalg.norm(x2 - truth) > _level(x2, P2, x1, P1, 0.01)
     assert np.mean(statistics) == pytest.approx(2.0, abs=0.15)
-    assert 8 <= alarms <= 35 and beyond <= 20
-    same = solution_separation(x1, P1, x1, P1, 0.01)
-    assert (same.dof, same.alarm, same.statistic) == (0, False, 0.0)
-    assert solution_separation([np.nan, 0.0], P2, x1, P1, 0.01).alarm
+    assert 8 <= np.sum(np.array(statistics) > nis_threshold(0.01, 2)) <= 35 and beyond <= 20
+    assert _separated(x1, P1, x1, P1)[:2] == (0.0, 0)  # nothing can be tested where one has just taken the place of the other
+    assert np.isnan(_separated(np.array([np.nan, 0.0]), P2, x1, P1)[0])  # which passes no threshold
     with pytest.raises(ValueError):
-        protection_level(x2, P2, x1, P1, 0.01, 0.0)
+        quantiles(0.01, 0.0, 1)
     # of one's own noise where nothing is apart, and never below what is found apart
-    own = np.sqrt(-2.0 * np.log(0.01) * P1[0, 0])
-    assert protection_level(x1, P1, x1, P1, 0.01, 0.01) == pytest.approx(own)
-    assert protection_level(np.add(x1, [500.0, 0.0]), P2, x1, P1, 0.01, 0.01) == pytest.approx(500.0 + own)
+    own = np.sqrt(-2.0 * np.log(0.01) * np.linalg.eigvalsh(P1)[-1])
+    assert _level(x1, P1, x1, P1, 0.01) == pytest.approx(own)
+    assert _level(np.add(x1, [500.0, 0.0]), P2, x1, P1, 0.01) == pytest.approx(500.0 + own)
 
 
 def test_small_eigenvalues() -> None:
