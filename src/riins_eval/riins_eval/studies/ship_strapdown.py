@@ -1,7 +1,7 @@
 """The ship's voyage in full strapdown at 100 Hz in waves, through the whole navigator: with turns, on a straight course, and by other structures.
 
 Lives here: the voyages of every seed beside the oracle's and the fault-free twin's, targets 20, 23 to 25, 29 and 31, and their figures.
-Does not live here: the platform form of seed 003 with every structure and test (ship.py), the engine (riins_eval.offline).
+Does not live here: the uncorrected solution (ship_damping.py), the platform form of 003 (ship.py), the engine (riins_eval.offline).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from riins_eval.offline import RunResult, sail
 from riins_eval.run_record import RunRecord
 from riins_sim.scenario import Scenario, load
 
+from . import ship_damping
 from .rows import Figure, Progress, Row, row
 
 Array = NDArray[np.float64]
@@ -31,6 +32,8 @@ NEVER = {"isolation": {"false_alarm_probability": 1e-15}}
 """A gate that nothing fails."""
 STRAIGHT_SEEDS = 5
 """Voyages on a straight course: their covariance is nearly the same for every seed."""
+DAMPED_SEEDS = 3
+"""Voyages with and without horizontal damping."""
 SHORT_S = 10_800.0
 """Quick voyages end after this: an hour with aids."""
 
@@ -88,7 +91,8 @@ def apart(one: RunRecord, other: RunRecord) -> tuple[float, float]:
 def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Sequence[Figure]]:
     """Rows and figures; `quick` ends every voyage after an hour with aids, before the faults."""
     straights = min(seeds, STRAIGHT_SEEDS)
-    work, done = 2.0 * seeds + straights + 2.0, 0.0
+    damped = min(seeds, DAMPED_SEEDS)
+    work, done = 2.0 * seeds + straights + 2.0 + 0.1 * damped, 0.0
     first: RunResult | None = None
     found: list[dict[str, float]] = []
     for seed in range(1, seeds + 1):
@@ -105,8 +109,13 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
         calm = shortened("calm_12h", quick, structure=structure, **NEVER)
         compared.append(sail(calm, seed=1, twins=False, progress=_part(progress, done / work, 1.0 / work)).record)
         done += 1.0
+    pairs = []
+    for seed in range(1, damped + 1):
+        pairs.append(ship_damping.both(seed, quick, _part(progress, done / work, 0.1 / work)))
+        done += 0.1
     assert first is not None
-    return rows(found, [float(heading_sigma(record)[-1]) for record in straight], apart(*compared), quick), figures(first.record, straight[0])
+    made = rows(found, [float(heading_sigma(record)[-1]) for record in straight], apart(*compared), quick)
+    return [*made, *ship_damping.rows(pairs)], [*figures(first.record, straight[0]), ship_damping.figure(*pairs[0])]
 
 
 def _part(progress: Progress, start: float, share: float) -> Callable[[float, float], None]:
