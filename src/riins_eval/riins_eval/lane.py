@@ -7,6 +7,7 @@ Does not live here: where the samples come from (offline.py), what is made of th
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,10 @@ from riins_federated.calibration import Calibration, Calibrator
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, FederatedReport, NavEvent, Recall
 from riins_imu_fusion.pipeline import FusionPipeline
-from riins_imu_fusion.types import FdiEvent, FusedBlock
+from riins_imu_fusion.types import FdiEvent, FdiStatus, FusedBlock
 
 from . import blocks, metrics
+from .recording import RunWriter
 from .run_record import FAULT_TYPES, HEALTHY, Alignment, FaultInterval, HealthChange, Judged, SensorUse, Stamps, Track
 
 Floats = NDArray[np.float64]
@@ -42,7 +44,7 @@ class Lane:
 
     Attributes
     ----------
-    calibrations, solutions, judged, events, alignment : what came out since `take` was last called, for a recorder
+    calibrations, solutions, judged, events, alignment : what came out when `drain` was last called, for `write`
     """
 
     def __init__(self, navigator: Navigator) -> None:
@@ -103,6 +105,19 @@ class Lane:
         for event in self.events:
             if event.state is not None:
                 self.health.append(HealthChange(int(event.stamp_ns), event.target, event.state, int(event.reason)))
+
+    def write(self, writer: RunWriter, statuses: list[FdiStatus]) -> None:
+        """Record what came out of the navigator since `drain` was last called, and the statuses of the fusion that came with it."""
+        writer.settled(self.solutions, self.navigator.labels)
+        writer.calibrations(self.calibrations)
+        writer.alignment(self.alignment)
+        writer.judged(self.judged)
+        report = self.navigator.status()
+        for event in self.events:
+            writer.federated(report_at(report, event), event.text, (event,))
+        writer.federated(report)
+        for status in statuses:
+            writer.inertial(status)
 
     @property
     def track(self) -> Track:
@@ -196,6 +211,16 @@ def judged_arrays(entries: list[Any]) -> Judged:
         np.array([e.nis for e in entries], np.float64), np.array([e.threshold for e in entries], np.float64),
         np.array([e.accepted for e in entries], bool), np.array([int(e.reason) for e in entries], np.int64),
     )  # fmt: skip
+
+
+def aid_notes(subfilters: Iterable[Any]) -> list[str]:
+    """What a reader must know of the aids of a run that has navigated: SubfilterReports, or SubfilterStatus messages, at its end."""
+    subfilters = list(subfilters)
+    if not subfilters:
+        return ["The navigator has no aid: it went by the inertial sensors alone, and the known height if that is enabled."]
+    counts = ("accepted", "rejected", "late", "malformed", "no_fix")  # older recordings do not have the last
+    silent = [s.name for s in subfilters if not any(getattr(s, count, 0) for count in counts)]
+    return [f'The aid "{name}" is declared, and not one measurement of it came.' for name in silent]
 
 
 def fault_intervals(faults: Any, start_at_ns: int, stop_ns: int) -> list[FaultInterval]:

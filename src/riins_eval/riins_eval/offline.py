@@ -29,7 +29,7 @@ from riins_sim.trajectory import Trajectory
 
 from . import blocks, configure
 from . import score as scoring
-from .lane import FusionLog, Lane, fault_intervals, report_at, warm_up
+from .lane import FusionLog, Lane, aid_notes, fault_intervals, warm_up
 from .recording import ORACLE_TOPIC, TWIN_TOPIC, RunWriter
 from .run_record import RunRecord, Samples
 from .simulated_aids import Found, SimulatedAids
@@ -216,19 +216,8 @@ class _Voyage:
 
     def _write_settled(self, writer: RunWriter | None) -> None:
         statuses = self.pipeline.drain_statuses()
-        if writer is None or not writer.nav:
-            return
-        lane = self.lane
-        writer.settled(lane.solutions, lane.navigator.labels)
-        writer.calibrations(lane.calibrations)
-        writer.alignment(lane.alignment)
-        writer.judged(lane.judged)
-        report = lane.navigator.status()
-        for event in lane.events:
-            writer.federated(report_at(report, event), event.text, (event,))
-        writer.federated(report)
-        for status in statuses:
-            writer.inertial(status)
+        if writer is not None and writer.nav:
+            self.lane.write(writer, statuses)
 
     def _record(self, realtime_factor: float) -> RunRecord:
         lane, end_ns = self.lane, self.start + int(self.imu.stamp_ns(self.imu.samples)) + 1
@@ -250,7 +239,7 @@ class _Voyage:
             twin=settled if self.same else self.twin.track.at(settled.stamp_ns) if self.twin else None,
             oracle=settled if self.same else self.oracle.track.at(settled.stamp_ns) if self.oracle else None,
             realtime_factor=realtime_factor, aid_fixes=fixes, expect=dict(self.scenario.expect), drift=self.pipeline.drift, ended_ns=end_ns,
-            alignments=lane.alignments, inertial=lane.inertial,
+            alignments=lane.alignments, notes=aid_notes(report.subfilters) if len(settled) else [], inertial=lane.inertial,
         )  # fmt: skip
 
 

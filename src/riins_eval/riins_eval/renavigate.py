@@ -26,7 +26,7 @@ from riins_node import alignment_fields, readings
 
 from . import score as scoring
 from .bag_record import read_faults, read_fixes, read_reference, reference_at, run_start
-from .lane import FusionLog, Lane, fault_intervals, report_at, warm_up
+from .lane import FusionLog, Lane, aid_notes, fault_intervals, warm_up
 from .offline import RunResult, reporting_pipeline, samples
 from .recording import RAW_IMU, RunWriter
 from .run_configuration import RecordError, RunConfiguration, holds, read_configuration, with_settings
@@ -161,12 +161,12 @@ class _Run:
                     self.pipeline.drain_statuses()
                 else:
                     writer.fused_imu(fused, self.pipeline)
-                    self._write(writer)
+                    self.lane.write(writer, self.pipeline.drain_statuses())
             if progress is not None:
                 progress(min((done_ns - self.reader.start_ns) * 1e-9, total), total)
         self.lane.finish()
         if writer is not None:
-            self._write(writer)
+            self.lane.write(writer, self.pipeline.drain_statuses())
             writer.inertial(self.pipeline.status())  # what the last samples made of it
         seconds = time.perf_counter() - began
         made = self._record(seconds)
@@ -287,19 +287,6 @@ class _Run:
         if len(newest):
             self._newest = int(part.stamp_ns[-1]) if part.stamp_ns[-1] < self._newest - self._max_delay else int(newest[-1])
 
-    def _write(self, writer: RunWriter) -> None:
-        lane = self.lane
-        writer.settled(lane.solutions, lane.navigator.labels)
-        writer.calibrations(lane.calibrations)
-        writer.alignment(lane.alignment)
-        writer.judged(lane.judged)
-        report = lane.navigator.status()
-        for event in lane.events:
-            writer.federated(report_at(report, event), event.text, (event,))
-        writer.federated(report)
-        for status in self.pipeline.drain_statuses():
-            writer.inertial(status)
-
     def _record(self, seconds: float) -> RunRecord:
         lane, reader, configuration = self.lane, self.reader, self.configuration
         settled = lane.track
@@ -321,7 +308,8 @@ class _Run:
             n_sensors=self.pipeline.n, realtime_factor=reader.duration_s / seconds if seconds > 0.0 else None,
             pieces=[(p["name"], p["start_ns"], p["stop_ns"]) for p in recording.get("pieces", [])],
             aid_fixes={name: fixes for name in ("gps", "bds") if (fixes := read_fixes(reader, name)) is not None},
-            expect=dict(scenario.expect) if scenario else {}, notes=[*recording.get("notes", []), *self.notes],
+            expect=dict(scenario.expect) if scenario else {},
+            notes=[*recording.get("notes", []), *self.notes, *(aid_notes(report.subfilters) if len(settled) else [])],
             drift=self.pipeline.drift, ended_ns=self.pipeline.last_stamp_ns or 0, alignments=lane.alignments, inertial=lane.inertial,
         )  # fmt: skip
 
