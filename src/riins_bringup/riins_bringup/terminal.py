@@ -54,7 +54,7 @@ def judge(result: dict[str, Any], expect: dict[str, Any], json_file: Path | None
     if expect and not failures:
         screen.print("as the scenario expects", style="green")
     for note in result["notes"]:
-        screen.print(f"note: {note}", markup=False, highlight=False)
+        screen.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     write_json(json_file, {**result, "verdict": {"passed": not failures, "failures": failures}})
     return BAD_RESULT if failures else OK
 

@@ -21,7 +21,7 @@ from riins_core.rotation import dcm_from_euler, euler_from_dcm, exp_so3, log_so3
 from riins_node.readings import read_fault, to_ns
 from riins_sim.faults import Fault, FaultType
 
-from .lane import fault_intervals, judged_arrays
+from .lane import aid_notes, fault_intervals, judged_arrays
 from .metrics import NEES7
 from .recording import ORACLE_TOPIC, RAW_IMU, TWIN_TOPIC
 from .run_configuration import RecordError, RunConfiguration, holds, read_configuration
@@ -91,7 +91,9 @@ def read_record(bag: str | Path, twins: bool | None = None, progress: Progress |
             expect=dict(scenario.expect) if scenario else {}, notes=list(configuration.recording.get("notes", [])),
             drift=_drift(reader), ended_ns=_last_status_ns(reader), alignments=_alignments(reader),
         )  # fmt: skip
-        for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC)):
+        for _, _, status in _last(reader, "/nav/subfilters") if navigated and holds(reader, "/nav/subfilters") else []:
+            record.notes += aid_notes(status.subfilters)
+        for name, topic in (("twin", TWIN_TOPIC), ("oracle", ORACLE_TOPIC), ("inertial", "/nav/inertial")):
             if holds(reader, topic):
                 setattr(record, name, _track(reader.columns(topic, _STATE))[0].at(settled.stamp_ns))
     if not navigated and not record.alignments:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_eval_metrics import S, make_judged, make_track
 
+from riins_eval.lane import aid_notes
 from riins_eval.run_record import FaultInterval, HealthChange, RunRecord, Samples, SensorUse
 from riins_eval.score import fault_rows, score, table, verdict
 
@@ -125,3 +127,13 @@ def test_a_missed_fault_fails_the_verdict_and_counts_all_its_samples():
     assert verdict(result, {"isolated": ["gyro_2"]}) == ["gyro_2: the ramp at 24 s was not rightly isolated"]
     assert result["missed_isolations"] == 1
     assert result["faults"][0]["epochs_fused"] == 501  # 25.00 s .. 30.00 s, then it was out of use
+
+
+def test_an_aid_that_never_spoke_and_a_navigator_without_aids_are_noted():
+    counts = {"accepted": 0, "rejected": 0, "late": 0, "malformed": 0}
+    spoke = [SimpleNamespace(name=f"aid{i}", **{**counts, count: 1}) for i, count in enumerate(counts)]
+    assert aid_notes([*spoke, SimpleNamespace(name="no_fix", no_fix=3, **counts)]) == []
+    assert aid_notes([*spoke, SimpleNamespace(name="compass", no_fix=0, **counts)]) == [
+        'The aid "compass" is declared, and not one measurement of it came.'
+    ]
+    assert "no aid" in aid_notes([])[0]
