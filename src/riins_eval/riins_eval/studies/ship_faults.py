@@ -18,6 +18,7 @@ from riins_eval.studies import ship_figures
 from riins_eval.studies.rows import Figure, Progress, Row, row
 from riins_eval.studies.ship import ALONE, BEST, GATE, PFA, Flight, federated, fly, masters
 from riins_eval.studies.ship_model import BDS, BEGIN, EPOCHS, GPS, PERIOD, SIGMA, Fault, epoch_of, model, voyage
+from riins_fdi.eraim import cross_check
 from riins_fdi.innovation_tests import INNOVATION_TESTS
 from riins_federated.structures import Gate, Structure
 
@@ -44,6 +45,8 @@ TESTED: dict[str, Callable[[Array], Structure]] = {
     "leave-one-out masters, NIS without GLR": lambda P: masters(P, GATE),
     "information form, NIS": lambda P: masters(P, GATE, ALONE),
     "no-reset, NIS": lambda P: federated(P, 1.0),
+    "fusion-reset, NIS": lambda P: federated(P, 0.0),
+    "partial feedback, alpha = 0.5, NIS": lambda P: federated(P, 0.5),
 } | {f"information form, NIS and {name}": _tested(name) for name in ("improved", "averaged", "mewma", "cusum", "windowed_glr")}
 
 
@@ -90,6 +93,21 @@ def table(seed: int, names: Sequence[str], which: dict[str, Fault]) -> dict[str,
         out[name] = {}
         for label, fault in which.items():
             out[name][label] = outcome(fly(before.clone(), made, given, (fault,), outages=False, first=ONSET, last=last), twin, fault)
+    return out
+
+
+def cross_checked(seed: int, which: dict[str, Fault]) -> dict[str, float]:
+    """GPS against BDS without any filter: delay [s] until they contradict each other while a fault lasts; infinite: they do not."""
+    given, R = voyage(seed, model()), [sigma**2 * np.eye(2) for sigma in SIGMA[:2]]
+    out = {}
+    for label, fault in which.items():
+        out[label] = np.inf
+        for k in range(fault.first, fault.last):
+            gps, bds = given.measurements(k, (fault,), outages=False)[:2]
+            assert gps is not None and bds is not None
+            if cross_check(gps.z, R[GPS], bds.z, R[BDS], PFA)[2]:
+                out[label] = float((k - fault.first + 1) * PERIOD)
+                break
     return out
 
 
@@ -167,6 +185,7 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
     for seed in range(seeds):
         made.append(table(seed, names, which))
         progress(0.75 * (seed + 1) / seeds)
+    checked = [cross_checked(seed, which) for seed in range(seeds)]
     rows = _targets([one[BEST] for one in made])
     for label in which:
         for name in names:
@@ -175,6 +194,10 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
             part = np.isfinite(late).mean()
             after = f"after {late[np.isfinite(late)].mean():.0f} s" if part else "never"
             rows.append(row(None, f"{label}: {name}: largest shift, m", [o.shift for o in each], remark=f"found while it lasts: {part:.0%}, {after}"))
+        late = np.array([one[label] for one in checked])
+        after = f"after {late[np.isfinite(late)].mean():.0f} s; " if np.isfinite(late).any() else ""
+        remark = f"{after}it tells that one of the two lies, not which, and keeps nothing out"
+        rows.append(row(None, f"{label}: GPS against BDS, no filter: found while it lasts", np.isfinite(late), remark=remark))
     for slope in (0.2, 1.0):
         both = [pulled_together(seed, slope) for seed in range(seeds)]
         named = ", ".join(f"{name} {sum(b[0] == name for b in both)}" for name in ("log", "GPS", "BDS", "none"))

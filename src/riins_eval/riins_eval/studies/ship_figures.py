@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .ship_faults import Drawn, Outcome
 
 Array = NDArray[np.float64]
-_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999", "#8c6d31")
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999", "#8c6d31", "#7b4173", "#637939")
 
 
 def voyage_figures() -> list[Figure]:
