@@ -190,7 +190,7 @@ def build_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
 
 
 def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
-    """Graph of a simulated ship: five simulated sensors, fusion, navigator and, if asked, the recorder."""
+    """Graph of a simulated vehicle: the sensors of its scenario, fusion, navigator and, if asked, bridge nodes and the recorder."""
     from riins_eval import configure
     from riins_sim import scenario as scenarios
 
