@@ -1,6 +1,6 @@
 """Sea data: distance to the reference of every piece, with all aids, the log alone, a GPS spoof and a gyro drift, and GNSS denied after 100 s.
 
-Run: python bench/sea_data.py ../shared/data/snapir_open.npz [--out DIR]   (./riins exec python bench/sea_data.py ...)
+Run: ./riins exec python bench/sea_data.py [../shared/data/snapir_open.npz] [--out DIR]; where that recording is not there, it says so and ends.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from rich.table import Table
 from riins_eval import metrics
 from riins_eval.importers import import_npz
 from riins_eval.offline import navigate
+from riins_eval.reproduce import RECORDINGS
 from riins_eval.run_record import RunRecord
 
 DENIED_S = 100.0
@@ -59,9 +60,12 @@ def denied_cells(record: RunRecord) -> list[tuple[str, ...]]:
 def main() -> None:
     """Import, navigate four times, print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recording", type=Path)
+    parser.add_argument("recording", type=Path, nargs="?", default=RECORDINGS / "snapir_open.npz")
     parser.add_argument("--out", type=Path, default=None, help="keep the bags here")
     given = parser.parse_args()
+    if not given.recording.is_file():
+        print(f"{given.recording} is not there: no table of sea data")
+        return
     with tempfile.TemporaryDirectory() as temporary:
         out = given.out or Path(temporary)
         out.mkdir(parents=True, exist_ok=True)
