@@ -33,6 +33,7 @@ def figures(record: RunRecord) -> list[Figure]:
         _track(record),
         _position(record, clock),
         _velocity(record, clock),
+        _inertial(record, clock),
         _attitude(record, clock),
         _innovations(record, clock),
         _health(record, clock),
@@ -200,6 +201,16 @@ def _velocity(record: RunRecord, clock: _Clock) -> Figure | None:
         _error_panel(record, clock, "east [m/s]", error[:, 1], _sigma(record, State.VEL_E), False),
     ]
     return Figure("velocity", "Velocity error", "Computed minus true, over ground.", clock.label, panels, x_range=clock.x_range)
+
+
+def _inertial(record: RunRecord, clock: _Clock) -> Figure | None:
+    if record.inertial is None:
+        return None
+    stamps, velocity = record.settled.stamp_ns, (record.inertial.v_n - record.settled.v_n)[:, :2]
+    apart = {"position [m]": metrics.horizontal_distance(record.inertial, record.settled), "velocity [m/s]": np.hypot(*velocity.T)}
+    panels = [Panel(label, [Trace(*clock.line(stamps, y), "apart", ESTIMATE, legend=False)], shades=clock.shades) for label, y in apart.items()]
+    caption = "How far the solution without output correction is from the corrected one, horizontally. It is fed back where it falls to zero."
+    return Figure("inertial", "Inertial solution", caption, clock.label, panels, x_range=clock.x_range)
 
 
 def _attitude(record: RunRecord, clock: _Clock) -> Figure | None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from riins_bag.bag import BagReader
-from riins_eval import offline
+from riins_eval import offline, plots
+from riins_eval.bag_record import read_record
 from riins_eval.studies import ship_damping
 from riins_sim.scenario import load
 
@@ -37,6 +38,15 @@ def test_the_inertial_solution_is_recorded_and_navigated_again_to_the_bit(run):
     assert np.array_equal(columns["sequence"], settled["sequence"]) and np.array_equal(columns["velocity_north"], record.inertial.v_n[:, 0])
     assert (columns["sigma_north"] >= settled["sigma_north"]).all() and (columns["velocity_north"] != settled["velocity_north"]).any()
     assert np.array_equal(record.inertial.v_n[19], record.settled.v_n[19])  # fed back after 20 s
+
+
+def test_the_report_shows_how_far_it_is_off(run):
+    record, bag = run
+    read = read_record(bag, twins=False)
+    assert np.allclose(read.inertial.v_n, record.inertial.v_n, atol=1e-12) and np.array_equal(read.inertial.stamp_ns, record.settled.stamp_ns)
+    found = next(f for f in plots.figures(read) if f.key == "inertial")
+    apart = found.panels[1].traces[0].y
+    assert apart[18] == pytest.approx(np.hypot(*(record.inertial.v_n[18] - record.settled.v_n[18])[:2])) and apart[18] > 1e-3 and apart[19] < 1e-9
 
 
 def test_with_continuous_feedback_there_is_none(tmp_path):
