@@ -60,9 +60,9 @@ def rows(pairs: Sequence[tuple[RunRecord, RunRecord]]) -> list[Row]:
     apart = [float(np.max(metrics.horizontal_distance(free.settled, damped.settled))) for free, damped in pairs]
     return [
         row(None, f"inertial alone, {hours}: velocity RMS, m/s", found[:, 0, 1]),
-        row(None, "the same, damped by the log", found[:, 1, 1]),
+        row(None, "damped by the log: velocity RMS, m/s", found[:, 1, 1]),
         row(None, f"inertial alone, {hours}: position RMS, m", found[:, 0, 0]),
-        row(None, "the same, damped by the log", found[:, 1, 0], remark="what the gyros drift is not an oscillation: it stays"),
+        row(None, "damped by the log: position RMS, m", found[:, 1, 0], remark="what the gyros drift is not an oscillation: it stays"),
         row(None, "corrected solutions of both apart, at most, m", apart, ok=lambda r: r.value < 1.0, centre=np.max),
     ]
 
