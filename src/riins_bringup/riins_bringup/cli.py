@@ -7,6 +7,7 @@ Does not live here: any logic of its own; heavy imports stay inside the verbs, s
 from __future__ import annotations
 
 import enum
+import errno
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,14 +16,17 @@ import typer
 from typer.exceptions import TyperException
 
 from riins_bringup.bag_verbs import BagArgument, bag_app
-from riins_bringup.targets import new_directory, writable_file
+from riins_bringup.targets import new_directory, usable_directory, writable_file
 from riins_bringup.terminal import BAD_RESULT, BAD_USE, OK, Progress, complain, console, judge, read_mapping, write_json
 
 # by name: importing the classes would import what raises them
-_USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "StudyError", "FileNotFoundError",
-                "FileExistsError", "IsADirectoryError", "NotADirectoryError", "PermissionError"}  # fmt: skip
+_USER_ERRORS = {"SettingError", "ScenarioError", "BagError", "ImportFailure", "ParameterError", "RecordError", "StudyError"}
 _FAILURES = {"GraphError"}
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EIO}
+"""A disk that ends a run which was asked for rightly."""
 _INTERRUPTED = 130  # what typer returns for a KeyboardInterrupt, which it keeps to itself
+
+LARGEST_SEED = 2**31 - 1
 
 app = typer.Typer(
     name="riins",
@@ -95,7 +99,7 @@ def geometry(
 @app.command()
 def sail(
     scenario: ScenarioArgument,
-    seed: Annotated[int | None, typer.Option(help="seed of all noise (default: the scenario's)", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(help="seed of all noise (default: the scenario's)", min=0, max=LARGEST_SEED)] = None,
     out: Annotated[Path | None, typer.Option("--out", help="bag directory to write", metavar="BAG")] = None,
     record: Annotated[Record | None, typer.Option(help="what goes into the bag (default: nav with --out)")] = None,
     twins: Annotated[bool, typer.Option("--twins/--no-twins", help="sail the fault-free twin and the oracle too")] = True,
@@ -156,7 +160,9 @@ def score(bag: BagArgument, twins: TwinsOption = None, namespace: NamespaceOptio
 @app.command()
 def report(
     bag: BagArgument,
-    out: Annotated[Path | None, typer.Option("--out", help="directory of the report (default: BAG_report)", metavar="DIR")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="directory of the report (default: BAG_report)", metavar="DIR", callback=usable_directory)
+    ] = None,
     twins: TwinsOption = None,
     namespace: NamespaceOption = None,
 ) -> int:
@@ -189,7 +195,8 @@ def up(
     motion: Annotated[bool, typer.Option("--motion", help="heave and attitude at the IMU rate on /nav/motion (with --nmea in any case)")] = False,
     log_level: Annotated[str, typer.Option(help="least severe message the nodes log: debug, info, warn, error, fatal")] = "info",
     logs: Annotated[
-        Path | None, typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR")
+        Path | None,
+        typer.Option(help="directory for logs and parameter files (default: a new one under ~/.ros/log)", metavar="DIR", callback=usable_directory),
     ] = None,
     network: Annotated[bool, typer.Option("--network", help="let other machines on the subnet see the topics")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the summary to this file", metavar="FILE", callback=writable_file)] = None,
@@ -220,7 +227,7 @@ def up(
 def import_file(
     file: Annotated[Path, typer.Argument(help="recording in the common .npz layout", metavar="FILE")],
     out: Annotated[Path, typer.Option("--out", help="bag directory to write", metavar="BAG")],
-    seed: Annotated[int, typer.Option(help="seed of the simulated noise and GNSS", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the simulated noise and GNSS", min=0, max=LARGEST_SEED)] = 1,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="sensor-level noise on the six axes (without it parity is exactly zero)")] = True,
     faults: Annotated[
         Path | None, typer.Option(help="YAML list of faults to put in, as in a scenario, times from each piece's start", metavar="FILE")
@@ -259,7 +266,9 @@ def reproduce(
     ],
     quick: Annotated[bool, typer.Option("--quick", help="a tenth of the seeds and fewer epochs, for a first look")] = False,
     seeds: Annotated[int | None, typer.Option(help="seeds of everything random, or cases (default: thesis 50, real 200)", min=1)] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="directory of the page (default: out/reproduce_NAME)", metavar="DIR", callback=usable_directory)
+    ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="write the rows to this file, as documented in docs/json.md", metavar="FILE", callback=writable_file)
     ] = None,
@@ -297,7 +306,9 @@ def reproduce(
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="directory for bags and reports, made anew", metavar="DIR")] = Path("out/demo"),
+    out: Annotated[Path, typer.Option("--out", help="directory for bags and reports, made anew", metavar="DIR", callback=usable_directory)] = Path(
+        "out/demo"
+    ),
     duration: Annotated[float, typer.Option(help="length of the live run \\[s] (0: all of the scenario)")] = 0.0,
 ) -> int:
     """The whole house in under four minutes: live harbour run with recording, 12 h voyage offline, report, one table.
@@ -332,6 +343,9 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return OK
+    except OSError as error:
+        complain(_message(error))
+        return BAD_RESULT if error.errno in _FULL else BAD_USE
     except Exception as error:
         names = {cls.__name__ for cls in type(error).__mro__}
         if names & (_USER_ERRORS | _FAILURES):
@@ -345,8 +359,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _message(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 

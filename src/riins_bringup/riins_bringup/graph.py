@@ -34,7 +34,7 @@ class GraphSettings:
     record: str = setting("", "bag directory to record every topic to (must not exist); empty: no recording")
     namespace: str = setting("", "namespace of all nodes and topics, for several ships in one domain; empty: none")
     log_level: str = setting("info", "least severe message the nodes print", choices=("debug", "info", "warn", "error", "fatal"))
-    seed: int = setting(-1, "seed of all noise; -1: the scenario's own", low=-1)
+    seed: int = setting(-1, "seed of all noise; -1: the scenario's own", low=-1, high=2**31 - 1)
     duration_s: float = setting(0.0, "stop after this much measurement time; 0: the whole scenario or bag", "s", low=0.0)
     motion: bool = setting(False, "heave and attitude at the IMU rate on nav/motion; nmea has it in any case")
     nmea: str = setting("", "send NMEA 0183 there, several separated by commas: udp://HOST:PORT, serial:///dev/NAME?baud=N; empty: nowhere")
@@ -320,6 +320,8 @@ def _bridge(settings: GraphSettings) -> list[NodeSpec]:
 
     nodes = []
     outputs = [word.strip() for word in settings.nmea.split(",") if word.strip()]
+    if settings.nmea and not outputs:
+        raise SettingError(f'"nmea": {settings.nmea!r} names no address', ("nmea",))
     if settings.motion or outputs:
         nodes.append(_spec(settings, "riins_nmea", "motion", "consumer", {}, subscribes=("nav/state",), publishes=("nav/motion",)))
     if outputs:

@@ -1,12 +1,13 @@
 """Where a verb will write at its end, tried before it begins.
 
-Lives here: `writable_file`, `new_directory`, callbacks of the options of the command line.
+Lives here: `writable_file`, `new_directory`, `usable_directory`, callbacks of the options of the command line.
 Does not live here: the writing.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 
 import typer
@@ -24,6 +25,16 @@ def new_directory(path: Path | None) -> Path | None:
     if path is not None:
         if path.exists():
             raise typer.BadParameter(f"{path} exists already; choose another name or remove it")
+        _try_to_write(path, directory=True)
+    return path
+
+
+def usable_directory(path: Path | None) -> Path | None:
+    """The path of a directory that is there or will be made, tried now."""
+    if path is not None and path.is_dir():
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise typer.BadParameter(f"cannot write {path}: it is not writable")
+    elif path is not None:
         _try_to_write(path, directory=True)
     return path
 

@@ -78,7 +78,10 @@ def write_json(path: Path | None, figures: Any) -> None:
     """Write figures to a file, if one is named."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(figures, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
+        try:
+            path.write_text(json.dumps(figures, indent=2, allow_nan=False, default=str) + "\n", encoding="utf-8")
+        except OSError as error:  # one of writing, not of opening, does not say where
+            raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 class Progress:

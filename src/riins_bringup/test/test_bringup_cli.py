@@ -65,6 +65,12 @@ def test_help_imports_nothing_heavy():
         (["up", "harbour", "--record", "/proc/no/bag"], "cannot write /proc/no/bag"),
         (["up", "harbour", "--json", "/proc/no/file"], "cannot write /proc/no/file"),
         (["sail", "harbour", "--json", "."], "cannot write ."),
+        (["sail", "a" * 300], "File name too long"),
+        (["sail", "harbour", "--out", "a" * 300], "File name too long"),
+        (["sail", "harbour", "--seed", str(2**31)], "--seed"),
+        (["report", "bag", "--out", "/dev/null/page"], "cannot write /dev/null/page"),
+        (["up", "harbour", "--logs", "/dev/null"], "cannot write /dev/null"),
+        (["up", "harbour", "--nmea", ","], "names no address"),
         (["reproduce", "thesiss"], '"thesis"'),
         (["reproduce", "thesis", "--out", "/dev/null"], "/dev/null"),
         (["reproduce", "thesis", "--seeds", "0"], "--seeds"),
@@ -75,6 +81,11 @@ def test_bad_use_is_one_line_and_status_2(words, message, capsys):
     assert main(words) == 2
     error = capsys.readouterr().err
     assert error.startswith("riins: error: ") and error.count("\n") == 1 and message in error
+
+
+def test_a_full_disk_is_one_line_and_a_bad_result(capsys):
+    assert main(["geometry", "--json", "/dev/full"]) == 1
+    assert capsys.readouterr().err == "riins: error: /dev/full: No space left on device\n"
 
 
 def test_a_study_without_its_recordings_is_no_success(tmp_path, capsys):

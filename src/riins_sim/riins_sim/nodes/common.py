@@ -32,7 +32,7 @@ class SimSettings:
     scenario: str = setting("harbour", "scenario: the name of a shipped one or a YAML file")
     start_at_ns: int = setting(0, "measurement time of sample 0, the same for all sensors of a run; 0: now", "ns", low=0)
     rate: float = setting(1.0, "speed in times real time", low=0.01, high=100.0)
-    seed: int = setting(-1, "seed of all noise; -1: the scenario's", low=-1)
+    seed: int = setting(-1, "seed of all noise; -1: the scenario's", low=-1, high=2**31 - 1)
     k_start: int = setting(-1, "first sample to publish; -1: the next that falls due, so a restarted node goes on where it would be", low=-1)
 
 
