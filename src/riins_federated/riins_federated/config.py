@@ -59,6 +59,10 @@ class NavigatorConfig:
     max_delay_s: float = setting(
         2.0, "a measurement later than this, by IMU time, is counted and dropped; an IMU stamp that jumps by more restarts the run", "s", 0.05, 600.0
     )
+    max_gap_s: float = setting(
+        20.0, "a jump by more than max_delay_s and up to this is bridged where as many numbers of samples are missing; what the motion of the last "
+        "minute leaves unknown of attitude and velocity is uncertainty", "s", 0.0, 600.0,
+    )  # fmt: skip
     covariance_period_s: float = setting(1.0, "interval of the covariance propagation", "s", 0.01, 60.0)
     settle_period_s: float = setting(1.0, "interval of the settled state", "s", 0.01, 3600.0)
     feedback_period_s: float = setting(

@@ -156,10 +156,10 @@ class IntegratedFilter:
         for local in self.subfilters:
             local.restart()
 
-    def integrate(self, rate: Array, force: Array, dt: Array, stamp_ns: int, rate_covariance: Array, force_covariance: Array) -> None:
-        """Advance the nominal state by samples (m, 3), (m, 3), (m,) of covariances (m, 3, 3), the last of which ends at `stamp_ns`."""
+    def integrate(self, rate: Array, force: Array, dt: Array, stamp_ns: int, rate_covariance: Array, force_covariance: Array, unknown: Array) -> None:
+        """Advance the nominal state by samples (m, 3), (m, 3), (m,) of covariances (m, 3, 3) and (m, 6), the last of which ends at `stamp_ns`."""
         m = self._running()
-        self._sample_noise.gather(m.noise, rate_covariance, force_covariance, dt)
+        self._sample_noise.gather(m.noise, rate_covariance, force_covariance, unknown, dt)
         if len(dt) > 1:
             m.rate[0], m.force[0] = rate[-2], force[-2]
         elif not m.dt:

@@ -33,7 +33,7 @@ class Navigator(OrderedRun):
     Attributes
     ----------
     imu_received, imu_lost, imu_rejected : samples
-    restarts : jumps of the IMU stamp by more than `max_delay_s`
+    restarts : jumps of the IMU stamp by more than `max_delay_s` that were no gap to be bridged
     rollbacks : times a late measurement was worked in
 
     Notes
@@ -156,7 +156,7 @@ class Navigator(OrderedRun):
         Parameters
         ----------
         stamp_ns : (m,), ends of the averaging intervals, ns
-        sequence : (m,), numbers of the source; a gap counts as lost
+        sequence : (m,), numbers of the source; a gap counts as lost, and is bridged up to `max_gap_s`
         rate, force : (m, 3), mean body rate and specific force over the interval, rad/s, m/s^2, FRD
         recalls : what declared sensors have put in, in order of stamp, one at most for a sample of this block
         rate_covariance, force_covariance : (m, 3, 3), white noise of each sample, (rad/s)^2, (m/s^2)^2, FRD; zero or None: not known
@@ -167,11 +167,13 @@ class Navigator(OrderedRun):
         numbers: NDArray[np.int64] = np.asarray(sequence, np.int64)
         self.imu_received += len(stamp_ns)
         finite: NDArray[np.bool_] = np.isfinite(np.concatenate([rate, force], axis=1)).all(axis=1)
-        start = 0
+        start, bridged = 0, -1
         while start < len(stamp_ns):
             before = stamp_ns[start] - 1 if self._last_ns is None else self._last_ns
             steps = np.diff(stamp_ns[start:], prepend=before)
-            unusual = np.flatnonzero(~(finite[start:] & (steps > 0) & (steps <= self._max_delay)))
+            usual = finite[start:] & (steps > 0) & (steps <= self._max_delay)
+            usual[0] |= start == bridged
+            unusual = np.flatnonzero(~usual)
             stop = start + int(unusual[0]) if len(unusual) else len(stamp_ns)
             part = slice(start, stop)
             self._append(stamp_ns[part], numbers[part], rate[part], force[part], noise[0][part], noise[1][part])
@@ -182,6 +184,8 @@ class Navigator(OrderedRun):
             if not finite[stop] or -self._max_delay <= step <= 0:
                 self.imu_rejected += 1
                 start = stop + 1
+            elif self._bridges(step, int(numbers[stop])):
+                start = bridged = stop
             else:
                 self._restart(int(stamp_ns[stop]), step)
                 start = stop

@@ -18,6 +18,7 @@ from riins_fdi.health import Change
 
 from .alignment_desk import AlignmentDesk
 from .config import NavigatorConfig
+from .gaps import Gaps
 from .integrated_filter import IntegratedFilter
 from .logbook import Logbook
 from .standstill import Standstill
@@ -37,13 +38,14 @@ class OrderedRun:
         self.config = config
         self._filter = IntegratedFilter(config)
         self._rank = {local.name: i for i, local in enumerate(self._filter.subfilters)}
-        self._max_delay = to_ns(config.max_delay_s)
+        self._max_delay, self._max_gap = to_ns(config.max_delay_s), to_ns(config.max_gap_s)
         height_s = config.height.period_s if config.height.enabled else 0.0
         self._period = Due(to_ns(config.covariance_period_s), to_ns(height_s), to_ns(config.settle_period_s), to_ns(config.feedback_period_s))
         self._initials: list[InitialState] = []
         self._log = Logbook()
         self._desk = AlignmentDesk(config)
         self._standstill = Standstill(config)
+        self._gaps = Gaps()
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
         self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
@@ -70,7 +72,7 @@ class OrderedRun:
         gaps = np.diff(sequence, prepend=sequence[0] - 1 if self._last_sequence is None else self._last_sequence)
         self.imu_lost += int(np.where((gaps > 1) & (gaps < LOST_BEYOND), gaps - 1, 0).sum())
         rate, force = np.asarray(rate, np.float64), np.asarray(force, np.float64)
-        self._imu.append(stamp_ns, rate, force, rate_covariance, force_covariance, dt)
+        self._imu.append(self._gaps.fill(stamp_ns, rate, force, rate_covariance, force_covariance, dt))
         if not self._filter.running:
             self._desk.begin(int(stamp_ns[0]), self._queue.waiting())
         self._desk.append(stamp_ns, rate, force, rate_covariance, force_covariance)
@@ -88,6 +90,13 @@ class OrderedRun:
             n += 1
         return recalls[n:]
 
+    def _bridges(self, step_ns: int, number: int) -> bool:
+        """Whether a sample that comes `step_ns` after the last one ends a gap that the filter goes on over, and not a jump of the clock."""
+        self._advance()
+        if self._last_sequence is None or not self._filter.running or self._desk.busy or step_ns > self._max_gap:
+            return False
+        return self._gaps.is_gap(step_ns * 1e-9, number - self._last_sequence - 1)
+
     def _restart(self, stamp_ns: int, step_ns: int) -> None:
         """The IMU stamp has jumped: settle what was, and wait for an initial state near the new stamp."""
         self._advance()
@@ -97,6 +106,7 @@ class OrderedRun:
         self._clear()
         self._desk.new_run(stamp_ns)
         self._standstill.new_run()
+        self._gaps.new_run()
         self._last_ns = self._last_sequence = None
         self.restarts += 1
         for stamp, rank, item in waiting:
@@ -138,9 +148,8 @@ class OrderedRun:
             due = min(self._due.first(), queue.head_ns())
             stop = min(max(int(imu.stamp.searchsorted(due)), k), len(imu) - 1)
             part = slice(k, stop + 1)
-            self._filter.integrate(
-                imu.rate[part], imu.force[part], imu.dt[part], int(imu.stamp[stop]), imu.rate_covariance[part], imu.force_covariance[part]
-            )
+            noise = (imu.rate_covariance[part], imu.force_covariance[part], imu.unknown[part])
+            self._filter.integrate(imu.rate[part], imu.force[part], imu.dt[part], int(imu.stamp[stop]), *noise)
             k = stop + 1
             self._sample = k + self._dropped_samples
             if imu.stamp[stop] >= due:
@@ -263,7 +272,7 @@ class OrderedRun:
         rest = (int(imu.stamp[sample]) - initial.stamp_ns) * 1e-9
         if rest > 0.0:
             one = slice(sample, sample + 1)
-            stamp, noise = int(imu.stamp[sample]), (imu.rate_covariance[one], imu.force_covariance[one])
+            stamp, noise = int(imu.stamp[sample]), (imu.rate_covariance[one], imu.force_covariance[one], imu.unknown[one])
             self._filter.integrate(imu.rate[one], imu.force[one], np.array([rest]), stamp, *noise)
             self._filter.propagate()
         self._due = self._period.after(initial.stamp_ns)

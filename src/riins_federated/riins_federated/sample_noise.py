@@ -1,4 +1,4 @@
-"""Noise of the samples themselves: what the fused IMU loses when it loses a sensor, as process noise of the error filter.
+"""Noise of the samples themselves: what the fused IMU loses with a sensor or with a whole sample, as process noise of the error filter.
 
 Lives here: `SampleNoise`, which gathers the covariances that come with the samples and says what they add to the configured model.
 Does not live here: the configured model (state_blocks.inertial_density), where the covariances come from (riins_imu_fusion).
@@ -46,15 +46,20 @@ class SampleNoise:
         """State of a run that begins: (2, 3, 3, 3), gyro and accelerometer; sum of S dt^2, last S, steps of S dt."""
         return np.zeros((2, 3, 3, 3))
 
-    def gather(self, state: Array, rate_covariance: Array, force_covariance: Array, dt: Array) -> None:
-        """Take the samples of (m, 3, 3), (m, 3, 3), (m,); a covariance that is zero or not finite is not known: the configured one holds."""
+    def gather(self, state: Array, rate_covariance: Array, force_covariance: Array, unknown: Array, dt: Array) -> None:
+        """Take the samples of (m, 3, 3), (m, 3, 3), (m, 6), (m,); a covariance that is zero or not finite is not known: the configured one holds."""
         if self._follow:
             _gather(state[0], rate_covariance, dt, self._density[0])
             _gather(state[1], force_covariance, dt, self._density[1])
+        _gather_unknown(state, unknown, dt)
 
     def add(self, state: Array, C_nb: Array, interval: float, Qd: Array) -> None:
         """Add what the interval's samples have beyond the model to the process noise Qd (n, n), and begin the next interval."""
         if not self._follow:
+            for kind, white in enumerate((PHI, VEL)):
+                if state[kind, SUM].any():
+                    Qd[white, white] += C_nb @ state[kind, SUM] @ C_nb.T
+            state[:, SUM] = 0.0
             return
         for kind, (white, bias) in enumerate(((PHI, BG), (VEL, BA))):
             small = _NEGLIGIBLE * self._density[kind]
@@ -70,6 +75,15 @@ def _positive(matrix: Array) -> Array:
     """The part of a symmetric matrix with positive eigenvalues."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+@jit
+def _gather_unknown(state: Array, unknown: Array, dt: Array) -> None:
+    for k in range(len(dt)):
+        if unknown[k, 0] > 0.0 or unknown[k, 3] > 0.0:
+            for i in range(3):
+                state[0, SUM, i, i] += unknown[k, i] * dt[k] * dt[k]
+                state[1, SUM, i, i] += unknown[k, 3 + i] * dt[k] * dt[k]
 
 
 @jit

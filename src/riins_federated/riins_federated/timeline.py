@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .gaps import Filled
 from .types import Array
 
 
@@ -56,7 +57,7 @@ class Checkpoint:
 
 
 NEVER_NS = 2**62
-_COLUMNS = ("stamp", "rate", "force", "rate_covariance", "force_covariance", "dt")
+_COLUMNS = ("stamp", "rate", "force", "rate_covariance", "force_covariance", "dt", "unknown")
 
 
 class ImuBuffer:
@@ -68,6 +69,7 @@ class ImuBuffer:
     rate, force : (m, 3), FRD
     rate_covariance, force_covariance : (m, 3, 3), FRD, zero where not known
     dt : (m,), s, since the sample before
+    unknown : (m, 6), what a sample put into a gap does not know, see `gaps.Filled`
     """
 
     def __init__(self) -> None:
@@ -81,14 +83,14 @@ class ImuBuffer:
         self.rate_covariance: Array = np.empty((0, 3, 3))
         self.force_covariance: Array = np.empty((0, 3, 3))
         self.dt: Array = np.empty(0)
+        self.unknown: Array = np.empty((0, 6))
 
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def append(self, stamp: NDArray[np.int64], rate: Array, force: Array, rate_covariance: Array, force_covariance: Array, dt: Array) -> None:
+    def append(self, samples: Filled) -> None:
         """Add samples that follow the last one."""
-        new = (stamp, rate, force, rate_covariance, force_covariance, dt)
-        for name, values in zip(_COLUMNS, new, strict=True):
+        for name, values in zip(_COLUMNS, samples, strict=True):
             setattr(self, name, np.concatenate([getattr(self, name), values]))
 
     def drop(self, n: int) -> None:

@@ -35,7 +35,7 @@ def gathered(noise: SampleNoise, gyro: np.ndarray, accel: np.ndarray, cuts: tupl
     """Process noise of one interval with samples of these covariances, the body turned."""
     state, Qd = noise.fresh(), np.zeros((N_STATES, N_STATES))
     for part in np.split(np.arange(len(gyro)), cuts):
-        noise.gather(state, gyro[part], accel[part], np.full(len(part), DT))
+        noise.gather(state, gyro[part], accel[part], np.zeros((len(part), 6)), np.full(len(part), DT))
     noise.add(state, C_NB, len(gyro) * DT, Qd)
     assert not state[:, (0, 2)].any()
     return Qd
