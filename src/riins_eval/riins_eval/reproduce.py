@@ -119,6 +119,7 @@ STUDIES: dict[str, Reproduction] = {
             Chapter("riins_eval.studies.ship", "The voyage: outages, gross faults, accuracy against the oracle"),
             Chapter("riins_eval.studies.ship_faults", "Small and slow faults"),
             Chapter("riins_eval.studies.ship_strapdown", "Full strapdown at 100 Hz in waves, through the whole navigator", 2.0),
+            Chapter("riins_eval.studies.ship_compared", "Full strapdown: inertial alone, position reset, three fixes, output correction", 1.5),
         ),
         beside="paper",
         seeds=20,
