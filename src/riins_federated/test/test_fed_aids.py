@@ -83,6 +83,9 @@ def barometer(t: Truth, s: Any) -> Array:
 
 
 def compass(t: Truth, s: Any) -> Array:
+    if s.two_antennas:  # the azimuth of the line from one to the other
+        line = t.pose.C_nb @ dcm_from_euler(0.0, 0.0, np.radians(s.offset_deg))[:, 0]
+        return np.arctan2(line[1], line[0]) + t.at("deviation")
     return np.arctan2(t.pose.C_nb[1, 0], t.pose.C_nb[0, 0]) + np.radians(s.offset_deg) + t.at("deviation")
 
 
@@ -102,6 +105,7 @@ CASES: list[tuple[str, Callable[[Truth, Any], Array], dict[str, Any]]] = [
     ("odometer", wheels, {"lever_arm_m": LEVER, **SIGMAS, **MOUNTED, "sideways_mps": 0.0, "down_mps": 0.0}),
     ("height", barometer, {"lever_arm_m": LEVER, **SIGMAS, "zero_m": 30.0, "markov_sigma_m": 5.0, "markov_state": True}),
     ("heading", compass, {"delay_sigma_s": 0.1, "offset_deg": 90.0, "deviation_deg": 2.0}),
+    ("heading", compass, {"delay_sigma_s": 0.1, "offset_deg": 90.0, "two_antennas": True, "deviation_deg": 2.0}),
     ("attitude", stars, {"delay_sigma_s": 0.1, "mounting_rpy_deg": [10.0, -80.0, 30.0], "misalignment_deg": 1.0}),
 ]
 SIZES = {"lever": 0.3, "delay": 0.0, "markov": 0.05, "yaw": 0.01, "pitch": 0.01, "scale": 0.005, "current": 0.4, "deviation": 0.02, "mounting": 0.01}
@@ -290,6 +294,18 @@ def test_a_heading_is_compared_around_the_circle_whatever_roll_and_pitch() -> No
     assert np.degrees(found.z) == pytest.approx(2.0) and found.R == pytest.approx(noise(np.zeros((1, 1)), np.radians([2.0]), 0.0))
 
 
+def test_antennas_across_the_deck_of_a_ship_that_lists_do_not_read_heading_plus_90() -> None:
+    """10 deg of roll and 5 of pitch: .87 deg, the tangent of the azimuth being sin roll sin pitch / cos roll."""
+    C = dcm_from_euler(np.radians(10.0), np.radians(5.0), 1.0)
+    here, aid = Pose(0.5, 0.1, 0.0, np.zeros(3), C, np.zeros(3), np.zeros(3)), Aid("aid", 0, np.array([1.0 + np.pi / 2.0]), np.zeros((1, 1)))
+    apart = {}
+    for antennas in (False, True):
+        model, _ = declared("heading", {"offset_deg": 90.0, "two_antennas": antennas})
+        apart[antennas] = float(np.degrees(model.measurement(aid, here, np.zeros(6)).z[0]))
+    assert apart[False] == pytest.approx(0.0, abs=1e-9)
+    assert apart[True] == pytest.approx(np.degrees(np.arctan(np.sin(np.radians(10.0)) * np.sin(np.radians(5.0)) / np.cos(np.radians(10.0)))))
+
+
 def test_every_file_is_a_type_and_the_defaults_exist() -> None:
     assert set(AID_MODELS) >= {
         "gnss_position",
@@ -364,3 +380,10 @@ def test_an_innovation_says_in_which_frame_its_components_are() -> None:
     own = {"body_velocity", "beam_velocity", "water_velocity", "odometer"}
     assert frames == {**dict.fromkeys(AID_MODELS, "map_ned"), **dict.fromkeys(own, "one_link"), "zero_velocity": "imu_link"}
     assert make("log", build(AID_MODELS["body_velocity"].Settings, {"type": "body_velocity", "frame": "dvl"})).frame == "dvl"
+
+
+@pytest.mark.parametrize("topic", ["a b", "/", "bow//fix", "\u65e5\u672c/fix", "1st/fix", "gps/fix/"])
+def test_a_topic_that_ros_does_not_take_is_one_line(topic: str) -> None:
+    with pytest.raises(SettingError, match=r'"gps.topic" must be words of letters') as caught:
+        build(NavigatorConfig, {"gps": {"topic": topic}})
+    assert "\n" not in str(caught.value)
