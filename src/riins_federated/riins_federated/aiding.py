@@ -90,6 +90,7 @@ class AidSettings(AidJudging):
     delay_s: float = setting(0.0, "known delay: a measurement holds this long before the stamp of its message", "s", -10.0, 10.0)
     delay_sigma_s: float = setting(0.0, "sigma of what is not known of the delay, a state; 0: none", "s", 0.0, 10.0)
     false_alarm_probability: float = setting(0.0, "of its innovation test; 0: that of section isolation", "", 0.0, 0.5)
+    mean_time_between_false_alarms_h: float = setting(0.0, "of its innovation test, one every period_s; 0: by the probability", "h", 0.0, 1e9)
     isolate_after: int = setting(0, "consecutive failed tests until it is isolated; 0: that of section isolation", "", 0, 1000)
     readmit_after: int = setting(0, "consecutive passed tests on probation until it is fused again; 0: that of section isolation", "", 0, 1000)
     hold_s: float = setting(-1.0, "an isolated subfilter stays so at least this long; -1: that of section isolation", "s", -1.0, 1e5)

@@ -1,6 +1,6 @@
 """The structure that the settings ask for, for a state and its aids.
 
-Lives here: `make_structure`, `LAYOUT` of the navigator's error state.
+Lives here: `make_structure`, `gate_probability`, `LAYOUT` of the navigator's error state.
 Does not live here: the structures (structures.py, separated_masters.py), their settings (structure_settings.py).
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from riins_core.ins_error import State
 from riins_core.settings import SettingError
 from riins_fdi.innovation_tests import INNOVATION_TESTS
+from riins_fdi.parity import false_alarm_probability
 
 from .config import NavigatorConfig
 from .separated_masters import SeparatedMasters
@@ -47,8 +48,7 @@ def make_structure(config: NavigatorConfig, P0: Array, aids: Sequence[Any]) -> S
     SettingError
         Fixed shares that do not leave a positive one for the known height.
     """
-    pfa = config.isolation.false_alarm_probability
-    gates = [Gate(aid.false_alarm_probability or pfa, _test(aid), hold=0) for aid in aids]  # how long it is held is the health machine's
+    gates = [Gate(gate_probability(config, aid), _test(aid), hold=0) for aid in aids]  # how long it is held is the health machine's
     adaptive = [aid.adaptive_noise for aid in aids]
     x0 = np.zeros(len(P0))
     if config.structure in ("separated", "information"):
@@ -64,6 +64,15 @@ def make_structure(config: NavigatorConfig, P0: Array, aids: Sequence[Any]) -> S
         x0, P0, len(aids), retention=RETENTION.get(config.structure, config.retention), beta=beta, common=True,
         sharing="fixed" if sharing.kind == "equal" else sharing.kind, layout=LAYOUT, gate=gates, adaptive=adaptive,
     )  # fmt: skip
+
+
+def gate_probability(config: NavigatorConfig, aid: Any) -> float:
+    """False-alarm probability of one innovation test of an aid: its own, or of a mean time between false alarms, else those of section isolation."""
+    common = config.isolation
+    if aid.false_alarm_probability:
+        return float(aid.false_alarm_probability)
+    hours = aid.mean_time_between_false_alarms_h or common.mean_time_between_false_alarms_h
+    return min(false_alarm_probability(hours, 1.0 / aid.period_s), 0.5) if hours else common.false_alarm_probability
 
 
 def _test(aid: Any) -> Any:

@@ -27,6 +27,9 @@ class Isolation:
     """Fault test of the subfilters."""
 
     false_alarm_probability: float = setting(1e-5, "probability that a good measurement fails the innovation test", "", 1e-15, 0.5)
+    mean_time_between_false_alarms_h: float = setting(
+        0.0, "of each aid, from which and its period the probability follows; 0: false_alarm_probability", "h", 0.0, 1e9
+    )
     isolate_after: int = setting(3, "consecutive failed tests until the subfilter is isolated", "", 1, 1000)
     hold_s: float = setting(30.0, "an isolated subfilter stays so at least this long after its last failed test", "s", 0.0, 1e5)
     readmit_after: int = setting(3, "consecutive passed tests on probation until it is fused again", "", 1, 1000)
@@ -90,6 +93,9 @@ class NavigatorConfig:
     def __post_init__(self) -> None:
         StateModel(self.inertial, self.states)
         check_aids(self.aid)
+        for name, aid in self.aid.items():
+            if aid.false_alarm_probability and aid.mean_time_between_false_alarms_h:
+                raise SettingError(f'"{name}" has a false-alarm probability and a mean time between false alarms: one of them', (name,))
         check_damping(self.damping, self.aid, self.feedback_period_s)
         if self.calibration_lead_s <= self.max_delay_s:
             raise SettingError('"calibration_lead_s" must exceed "max_delay_s": it would come too late')

@@ -14,6 +14,7 @@ from test_fed_navigator import errors, same
 from riins_core.settings import SettingError
 from riins_fdi.health import SUBFILTER_CODE, HealthState
 from riins_federated import integrated_filter
+from riins_federated.assembly import make_structure
 from riins_federated.navigator import Navigator
 from riins_federated.separated_masters import SeparatedMasters
 from riins_federated.types import Aid, EventKind, Reason, UseCommand
@@ -134,6 +135,18 @@ def test_fusion_reset_equals_the_information_form_for_any_shares(v: Voyage, kind
 def test_shares_that_leave_nothing_for_the_height_are_refused() -> None:
     with pytest.raises(SettingError, match="known height"):
         Navigator(config(structure="no_reset", sharing={"kind": "fixed", "shares": [0.5, 0.3, 0.2]}))
+
+
+def test_gates_from_a_mean_time_between_false_alarms() -> None:
+    """An aid's own word before that of section isolation, hours by its own period."""
+    made = config(
+        gps={"mean_time_between_false_alarms_h": 100.0}, bds={"false_alarm_probability": 1e-3}, isolation={"mean_time_between_false_alarms_h": 10.0}
+    )
+    gates = make_structure(made, np.eye(20), list(made.aid.values())).gates
+    assert [gate.pfa for gate in gates] == pytest.approx([1.0 / 360_000.0, 1e-3, 0.5 / 36_000.0])
+    assert {gate.pfa for gate in make_structure(config(), np.eye(20), list(made.aid.values())[2:]).gates} == {1e-5}
+    with pytest.raises(SettingError, match='"gps" has a false-alarm probability and a mean time'):
+        config(gps={"mean_time_between_false_alarms_h": 100.0, "false_alarm_probability": 1e-3})
 
 
 TRUSTING_LITTLE = {"adaptive_noise": True, "further_test": "windowed_glr", "further_test_interval_h": 10.0}
