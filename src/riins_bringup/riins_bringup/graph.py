@@ -201,7 +201,7 @@ def ship_graph(settings: GraphSettings, start_at_ns: int = 0) -> Graph:
     if 0.0 < settings.duration_s < scenario.duration_s:
         changes |= {"duration_s": settings.duration_s, "expect": {}}  # what it expects is of the whole voyage
     scenario = dataclasses.replace(scenario, **changes)
-    fusion, navigator = configure.fusion_config(scenario), configure.navigator_config(scenario)
+    fusion, navigator = configure.simulated_fusion_config(scenario), configure.navigator_config(scenario)
 
     def configuration_at(start: int) -> str:
         return configure.configuration_text(scenario, start, fusion, navigator)

@@ -16,7 +16,7 @@ import yaml
 from riins_core.earth import STANDARD_GRAVITY
 from riins_core.imu_array import CONFIGURATIONS
 from riins_core.sensor_errors import KNOT
-from riins_core.settings import as_mapping, build
+from riins_core.settings import SettingError, as_mapping, build
 from riins_federated.aids import DEFAULT_AIDS
 from riins_federated.config import NavigatorConfig
 from riins_imu_fusion.config import FusionConfig
@@ -167,6 +167,20 @@ def fusion_config(scenario: Scenario) -> FusionConfig:
         "accel_limit": imu.accel_range_g * STANDARD_GRAVITY,
     }
     return build(FusionConfig, merged(settings, scenario.fusion), ("fusion",))
+
+
+def simulated_fusion_config(scenario: Scenario) -> FusionConfig:
+    """The same for an IMU that is simulated, whose axes are those of the scenario's configuration.
+
+    Raises
+    ------
+    SettingError
+        As `fusion_config`, or the fusion has another number of axes.
+    """
+    config, simulated = fusion_config(scenario), CONFIGURATIONS[scenario.imu.configuration].shape[0]
+    if config.array().n != simulated:
+        raise SettingError(f'"fusion.geometry" has {config.array().n} axes, the simulated IMU ({scenario.imu.configuration}) has {simulated}')
+    return config
 
 
 def configuration_text(scenario: Scenario, start_at_ns: int = 0, fusion: FusionConfig | None = None, navigator: NavigatorConfig | None = None) -> str:

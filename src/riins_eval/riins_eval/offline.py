@@ -31,6 +31,7 @@ from . import blocks, configure
 from . import score as scoring
 from .lane import FusionLog, Lane, aid_notes, fault_intervals, warm_up
 from .recording import ORACLE_TOPIC, TWIN_TOPIC, RunWriter
+from .run_configuration import RecordError
 from .run_record import RunRecord, Samples
 from .simulated_aids import Found, SimulatedAids
 
@@ -91,6 +92,8 @@ def sail(
     Raises
     ------
     ScenarioError, SettingError, BagError
+    RecordError
+        The navigator never started.
     """
     ship = scenario if isinstance(scenario, Scenario) else scenarios.load(scenario)
     voyage = _Voyage(ship if seed is None else ship.with_seed(seed), twins, start_at_ns)
@@ -111,7 +114,7 @@ class _Voyage:
         self.imu_faults = self.faults.only(["gyro", "accel"])
         self.twins = twins and bool(self.faults.faults)
         self.same = twins and not self.faults.faults
-        self.fusion_config, self.navigator_config = configure.fusion_config(scenario), configure.navigator_config(scenario)
+        self.fusion_config, self.navigator_config = configure.simulated_fusion_config(scenario), configure.navigator_config(scenario)
         self.aids = SimulatedAids(scenario, self.trajectory, self.navigator_config, start_at_ns)
         self.pipeline = reporting_pipeline(self.fusion_config)
         self.lane = Lane(Navigator(self.navigator_config))
@@ -223,6 +226,9 @@ class _Voyage:
         lane, end_ns = self.lane, self.start + int(self.imu.stamp_ns(self.imu.samples)) + 1
         settled = lane.track
         counters, report = self.pipeline.counters, lane.navigator.status()
+        if not len(settled) and not lane.alignments:
+            fused = f"{counters.fused} of {counters.received} samples of the IMU were fused"
+            raise RecordError(f"{self.scenario.name}: the navigator never started: {fused}")
         fixes = {}
         for name, sensor in self.aids.sensors.items():
             if not isinstance(sensor, PositionSim):

@@ -330,6 +330,8 @@ def _limit(result: Mapping[str, Any], key: str, limit: Any) -> list[str]:
             failures.append(f'{key}: a limit is "min", "max" or "equals", not "{word}"')
         elif value is None:
             failures.append(f"{key} is not known, but must be {_words(word)} {bound}")
+        elif word != "equals" and not isinstance(value, int | float):
+            failures.append(f'"{key}" is no number of the score: it cannot be {_words(word)} {bound}')
         elif (word == "min" and value < bound) or (word == "max" and value > bound) or (word == "equals" and value != bound):
             failures.append(f"{key} is {value if isinstance(value, int) else format(value, '.4g')}, must be {_words(word)} {bound}")
     return failures

@@ -9,10 +9,11 @@ import pytest
 from eval_voyage import equal
 
 from riins_bag.bag import BagReader
+from riins_core.settings import SettingError
 from riins_eval import configure, metrics, offline
 from riins_eval.run_configuration import RecordError
 from riins_eval.score import score_bag, verdict
-from riins_sim.faults import FaultSchedule
+from riins_sim.faults import FaultSchedule, FaultSettings
 from riins_sim.scenario import load
 from riins_sim.sensors import RedundantImuSim
 
@@ -93,6 +94,14 @@ def test_faults_of_the_oracle_are_hidden_in_their_interval_only(scenario):
     bit = (hidden.gyro_valid >> np.uint64(4)) & np.uint64(1)
     assert bit.tolist() == [1] * 10 + [0] * 10
     assert (hidden.accel_valid == raw.accel_valid).all()
+
+
+def test_an_imu_that_is_not_the_one_of_the_fusion_and_a_run_without_a_sample_are_told(scenario):
+    with pytest.raises(SettingError, match=r'"fusion.geometry" has 3 axes, the simulated IMU \(dodecahedron\) has 6'):
+        offline.sail(dataclasses.replace(scenario, faults=(), fusion={"geometry": [1, 0, 0, 0, 1, 0, 0, 0, 1]}))
+    gone = [FaultSettings(f"gyro_{i}", "dropout", 0.0) for i in range(4)]
+    with pytest.raises(RecordError, match="never started: 0 of 200 samples"):
+        offline.sail(dataclasses.replace(scenario, duration_s=2.0, faults=tuple(gone), expect={}), twins=False)
 
 
 def test_output_correction_holds_for_hours():

@@ -137,3 +137,7 @@ def test_an_aid_that_never_spoke_and_a_navigator_without_aids_are_noted():
         'The aid "compass" is declared, and not one measurement of it came.'
     ]
     assert "no aid" in aid_notes([])[0]
+
+
+def test_a_limit_on_what_is_no_number_fails_in_one_line():
+    assert verdict({"name": "x", "faults": []}, {"name": {"max": 1}}) == ['"name" is no number of the score: it cannot be at most 1']

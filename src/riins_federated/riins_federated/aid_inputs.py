@@ -6,6 +6,7 @@ Does not live here: the readers (riins_node.readings), subscriptions (node.py), 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ from riins_node.readings import is_for_fusion
 from .aiding import AidSettings, Input
 from .aids import AID_MODELS
 from .types import Aid
+
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 @dataclass(frozen=True)
@@ -61,13 +64,16 @@ def check_aids(aids: Mapping[str, AidSettings]) -> None:
     Raises
     ------
     SettingError
-        Two aids have one topic, or a name begins with gyro_ or accel_: an operator's command would go to the fusion.
+        Two aids have one topic, ROS does not take a topic, or a name begins with gyro_ or accel_: an operator's command would go to the fusion.
     """
     for name in aids:
         if is_for_fusion(name):
             raise SettingError(f'"aids" names "{name}": names that begin with gyro_ or accel_ are those of inertial sensors', ("aids",))
     taken: dict[tuple[str, str], str] = {}
     for one in inputs(aids):
+        if not _TOPIC.fullmatch(one.topic):
+            wanted = "words of letters, digits and _ with / between them, none beginning with a digit"
+            raise SettingError(f'"{one.name}.topic" must be {wanted}, not {one.topic!r}', (one.name, "topic"))
         key = (one.topic.strip("/"), one.input.part)
         if key in taken:
             raise SettingError(f'"{one.name}" has the topic "{one.topic}", which is that of "{taken[key]}"', (one.name, "topic"))

@@ -64,8 +64,8 @@ class AlignmentSettings:
             raise SettingError(f'"position" must be empty or latitude, longitude, height, not {len(self.position)} numbers', ("position",))
         if self.position and not (abs(self.position[0]) <= 90.0 and abs(self.position[1]) <= 360.0 and abs(self.position[2]) <= 1e5):
             raise SettingError('"position" must be a latitude in -90 .. 90 deg, a longitude in -360 .. 360 deg, a height within 1e5 m', ("position",))
-        if len(self.heading) not in (0, 2) or (self.heading and self.heading[1] <= 0.0):
-            raise SettingError('"heading" must be empty, or the heading and its sigma, which is positive', ("heading",))
+        if len(self.heading) not in (0, 2) or (self.heading and not (abs(self.heading[0]) <= 360.0 and 0.0 < self.heading[1] <= 90.0)):
+            raise SettingError('"heading" must be empty, or the heading, -360 .. 360 deg, and its sigma, 0 .. 90 deg and not 0', ("heading",))
 
 
 @dataclass(frozen=True)

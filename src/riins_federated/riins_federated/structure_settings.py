@@ -22,8 +22,7 @@ class SolutionSeparation:
     left_out: int = setting(
         2,
         "masters for every set that leaves out up to so many aids. 1: leave-one-out. 2: another aid may fail too, and its leave-one-out master is "
-        "still one that never saw the first; it also tells which aid it is. 0: as structure information. "
-        "As many as there are aids, or more: the set that leaves out all of them, the IMU with the known height alone, has a master too",
+        "still one that never saw the first; it also tells which aid it is. 0: as structure information",
         "", 0, 3,
     )  # fmt: skip
     false_alarm_probability: float = setting(1e-5, "of one test of the horizontal position, and of one of the whole solution", "", 1e-15, 0.5)

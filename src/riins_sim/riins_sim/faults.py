@@ -148,8 +148,8 @@ class FaultSettings:
 
     target: str = setting(doc="sensor: gyro_0.., accel_0.., or an aid")
     type: str = setting(doc="what the fault does", choices=("step", "ramp", "stuck", "noise", "scale", "dropout"))
-    start_s: float = setting(doc="onset since the start", unit="s", low=0.0)
-    end_s: float | None = setting(None, "end since the start; not given: to the end of the voyage", "s", low=0.0)
+    start_s: float = setting(doc="onset since the start", unit="s", low=0.0, high=1e7)
+    end_s: float | None = setting(None, "end since the start; not given: to the end of the voyage", "s", low=0.0, high=1e7)
     axis: str = setting(
         "all", "aids: which component; all: both horizontal ones, of one speed, a height or an attitude what there is",
         choices=("all", "north", "east", "down", "forward", "starboard", "up", "roll", "pitch", "heading"),

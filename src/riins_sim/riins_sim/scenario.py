@@ -7,6 +7,7 @@ Does not live here: YAML and line numbers (scenario_file.py), what is made of th
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,8 +130,8 @@ class OutageSettings:
     """A time in which an aid gives nothing, in the fault-free twin too."""
 
     target: str = setting(doc="aid", choices=AIDS)
-    start_s: float = setting(doc="since the start", unit="s", low=0.0)
-    end_s: float = setting(doc="since the start", unit="s", low=0.0)
+    start_s: float = setting(doc="since the start", unit="s", low=0.0, high=1e7)
+    end_s: float = setting(doc="since the start", unit="s", low=0.0, high=1e7)
 
     def __post_init__(self) -> None:
         if self.end_s <= self.start_s:
@@ -187,9 +188,9 @@ class Scenario:
             if leg.climb_m is not None and speed == 0.0:
                 raise SettingError("nothing climbs that stands still", ("legs", str(i), "climb_m"))
         for name, wish in self.expect.items():
-            bounds = isinstance(wish, dict) and wish and set(wish) <= {"min", "max"} and all(isinstance(v, int | float) for v in wish.values())
-            if not (bounds or isinstance(wish, list)):
-                raise SettingError(f'"expect.{name}" must be {{min: .., max: ..}} or a list, not {wish!r}', ("expect", str(name)))
+            bounds = isinstance(wish, dict) and wish and set(wish) <= {"min", "max"} and all(_is_number(v) for v in wish.values())
+            if not isinstance(name, str) or not (bounds or (isinstance(wish, list) and all(isinstance(word, str) for word in wish))):
+                raise SettingError(f'"expect.{name}" must be {{min: .., max: ..}} or a list of words, not {wish!r}', ("expect", str(name)))
 
     def fault_schedule(self) -> FaultSchedule:
         """The scenario's faults with its seed."""
@@ -256,6 +257,10 @@ def load(path_or_name: str | Path) -> Scenario:
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
     return from_yaml(text, str(path))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _without_none(value: Any) -> Any:
