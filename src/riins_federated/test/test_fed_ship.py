@@ -53,6 +53,22 @@ gps: {use_height: true, sigma_m: [1.0, 1.0, 2.0], period_s: 1.0, timeout_s: 3.5}
 bds: {use_height: true, sigma_m: [2.0, 2.0, 4.0], lever_arm_m: [-8.0, 0.0, -10.0], period_s: 1.0, timeout_s: 3.5}
 doppler: {use_down: true, misalignment_deg: 0.0, sigma_mps: [0.05, 0.05, 0.05], period_s: 1.0, timeout_s: 3.5}
 """
+SENSORS = STATES_24[: STATES_24.index("gps:")]
+STATES_36 = f"""{SENSORS}
+aids: [gps, gps_velocity, dvs]
+gps: {{type: gnss_position, use_height: true, sigma_m: [1.0, 1.0, 2.0], markov_sigma_m: 1.5, markov_time_s: 60.0, markov_state: true, period_s: 1.0,
+      timeout_s: 3.5}}
+gps_velocity: {{type: gnss_velocity, sigma_mps: [0.1, 0.1, 0.2], markov_sigma_mps: 0.1, markov_time_s: 60.0, markov_state: true, period_s: 1.0,
+               timeout_s: 3.5}}
+dvs: {{type: body_velocity, use_down: true, misalignment_deg: 0.0, scale_ppm: 5000.0, scale_each_axis: true, sigma_mps: [0.05, 0.05, 0.05],
+      markov_sigma_mps: 0.1, markov_time_s: 60.0, markov_state: true, period_s: 1.0, timeout_s: 3.5}}
+"""
+WATER_LOCK = f"""{SENSORS}
+aids: [gps, log]
+gps: {{type: gnss_position, use_height: true, sigma_m: [1.0, 1.0, 2.0], period_s: 1.0, timeout_s: 3.5}}
+log: {{type: water_velocity, use_down: true, misalignment_deg: 1.0, sigma_mps: [0.05, 0.05, 0.05], current_sigma_mps: 0.5, current_time_s: 600.0,
+      period_s: 1.0, timeout_s: 3.5}}
+"""
 SIGMA = {"position": 5.0, "velocity": 0.2, "attitude": np.array([0.003, 0.003, 0.02])}
 
 
@@ -143,8 +159,13 @@ def aids(config: NavigatorConfig, drawn: Drawn, m: Motion, k: int) -> list[Aid]:
         if s.type == "gnss_position":
             z = np.array(ned_offset(t.lat[0], t.lon[0], t.h[0], C @ lever + drawn.at(f"{name}.markov", k) + noise[:3] * s.sigma_m))
             R = np.zeros((3, 3))
-        elif s.type == "body_velocity":
-            z, R = C.T @ v_n + np.cross(rate, lever) + noise[:3] * s.sigma_mps, np.zeros((3, 3))
+        elif s.type == "gnss_velocity":
+            z, R = v_n + C @ np.cross(rate, lever) + drawn.at(f"{name}.markov", k) + noise[:3] * s.sigma_mps, np.zeros((3, 3))
+        elif s.type in ("body_velocity", "water_velocity"):
+            water = np.resize(np.append(drawn.at(f"{name}.current", k)[:2], 0.0), 3)
+            v = dcm_from_euler(0.0, 0.0, drawn.at(f"{name}.yaw", k)[0]).T @ (C.T @ (v_n - water) + np.cross(rate, lever))
+            z = (1.0 + drawn.at(f"{name}.scale", k)) * v + drawn.at(f"{name}.markov", k) + noise[:3] * s.sigma_mps
+            R = np.zeros((3, 3))
         elif s.type == "beam_velocity":
             yaw, pitch, scale = (drawn.at(f"{name}.{state}", k)[0] for state in ("yaw", "pitch", "scale"))
             v = dcm_from_euler(0.0, pitch, yaw).T @ (C.T @ v_n + np.cross(rate, lever))
@@ -173,10 +194,14 @@ def nees(navigator: Navigator, drawn: Drawn, m: Motion) -> float:
     return float(x / scale @ np.linalg.solve(P / np.outer(scale, scale), x / scale))
 
 
-@pytest.mark.parametrize(("text", "n"), [(STATES_24, 24), (SHIP, 38)], ids=["24 states of 002", "two GNSS, DVL, compass"])
-def test_nees_of_all_states_of_a_filter_that_is_only_declared(text: str, n: int) -> None:
+@pytest.mark.parametrize(
+    ("text", "n", "seeds"),
+    [(STATES_24, 24, 8), (STATES_36, 36, 4), (WATER_LOCK, 27, 4), (SHIP, 38, 8)],
+    ids=["24 states of 002", "24, GPS 6 and DVS 6 of 002", "water lock in a current", "two GNSS, DVL, compass"],
+)
+def test_nees_of_all_states_of_a_filter_that_is_only_declared(text: str, n: int, seeds: int) -> None:
     config = build(NavigatorConfig, yaml.safe_load(text))
-    runs = [fly(config, seed) for seed in range(8)]
+    runs = [fly(config, seed) for seed in range(seeds)]
     assert len(runs[0][1].labels) == n
     total = sum(value for value, _ in runs)
     low, high = chi2.ppf([0.001, 0.999], n * len(runs))
