@@ -11,6 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from riins_eval.offline import sail
 from riins_eval.studies import innovations, ship, ship_compared, ship_faults, ship_figures, ship_strapdown
 from riins_eval.studies.ship_model import BEGIN, GPS, LOG, SEED_FAULTS, Fault, epoch_of, model, voyage
+from riins_fdi.innovation_tests import INNOVATION_TESTS
 from riins_sim.scenario import load
 
 
@@ -133,6 +134,17 @@ def test_quick_voyages_end_before_the_faults() -> None:
     assert short.duration_s == ship_strapdown.SHORT_S and not short.faults and short.navigator["structure"] == "fusion_reset"
     assert all(outage.start_s < short.duration_s for outage in short.outages) and len(short.outages) == 3
     assert ship_strapdown.shortened("voyage_12h", False).duration_s == 43200.0
+
+
+def test_a_correlated_error_that_is_a_state_leaves_the_tests_as_they_are() -> None:
+    """Taken as white it makes a test that averages alarm ten times as often."""
+    found = {modelled: innovations.half_correlated(3, 360_000, modelled) for modelled in (False, True)}
+    white = found[True]
+    assert np.cov(white.T) == pytest.approx(np.eye(innovations.DOF), abs=0.02)
+    assert np.abs(white[:-1].T @ white[1:]).max() / len(white) < 5.0 / np.sqrt(len(white))
+    for name in ("nis", "averaged", "mewma", "cusum"):
+        alarms = {modelled: np.count_nonzero(INNOVATION_TESTS[name](innovations.DOF, 3600.0).process(u)[1]) for modelled, u in found.items()}
+        assert 50 <= alarms[True] <= 200 and (name == "nis" or alarms[False] > 1000)
 
 
 def test_a_position_reset_changes_the_position_alone() -> None:

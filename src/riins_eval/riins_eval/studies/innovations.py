@@ -1,4 +1,4 @@
-"""Innovation tests at equal false-alarm rate: time between false alarms, delay on ramps and steps (seed 004), extended RAIM (002), whiteness.
+"""Innovation tests at equal false-alarm rate: time between false alarms, delay on ramps and steps (seed 004), extended RAIM (002), correlation.
 
 Lives here: rows of targets 40, 41 and 44, and `run`.
 Does not live here: the tests (riins_fdi.innovation_tests), the ship on which they judge aids (ship_faults.py).
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from riins_core import kalman
 from riins_core.noise import normal
@@ -31,6 +32,8 @@ COSTS = 58.0
 _ONSET, _AFTER = 100, 500
 _RUNS, _QUICK_RUNS = 40, 20
 CORRELATION = 0.3
+TIME = 10.0
+"""Time constant [s] of an aid's Markov error."""
 
 
 @functools.cache
@@ -50,6 +53,25 @@ def false_alarms(name: str, seed: int, epochs: int, correlation: float = 0.0) ->
                 last = u[k] = u[k] + correlation * last
         count += int(np.count_nonzero(test.process(u)[1]))
     return count
+
+
+def half_correlated(seed: int, epochs: int, modelled: bool) -> Array:
+    """Standardized innovations of an aid half of whose variance is a Markov error of time constant TIME, (epochs, DOF).
+
+    Taken as white, with the right variance, or with the Markov error as a state: the Kalman filter of that state, in its steady state.
+    """
+    white, drive = np.split(normal(seed, "half correlated", 0, epochs, 2 * DOF), 2, axis=1)
+    kept = np.exp(-1.0 / TIME)
+    markov = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], drive, axis=0)
+    z = np.sqrt(0.5) * (white + markov)
+    if not modelled:
+        return np.asarray(z)
+    P = 0.5
+    for _ in range(200):
+        P = kept**2 * P * 0.5 / (P + 0.5) + 0.5 * (1.0 - kept**2)
+    gain = P / (P + 0.5)
+    predicted = lfilter([0.0, kept * gain], [1.0, -kept * (1.0 - gain)], z, axis=0)
+    return np.asarray((z - predicted) / np.sqrt(P + 0.5))
 
 
 def shape(kind: str, size: float) -> Array:
@@ -135,6 +157,15 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
         rows.append(
             row(None, f"{name}: time between false alarms, h, correlation {CORRELATION} that nobody models", [hours_between], remark="nominal: 10 h")
         )
+    spans, span = range(4), (20 if quick else 100) * 3600
+    for name in names:
+        times = []
+        for modelled in (False, True):
+            many = sum(int(np.count_nonzero(made(name).clone().process(half_correlated(seed, span, modelled))[1])) for seed in spans)
+            times.append(len(spans) * span / 3600.0 / max(many, 1))
+        label = f"{name}: time between false alarms, h, half of the variance correlated over {TIME:g} s and a state of the filter"
+        remark = f"nominal: 10 h; taken as white: {times[0]:.2g} h"
+        rows.append(row(40, label, times[1:], ok=None if quick else functools.partial(_between, 5.0, 20.0), remark=remark))
     progress(1.0)
     return rows, [] if quick else [Figure("innovation-ramps", "Delay on a ramp at equal false-alarm rate", functools.partial(_draw, _sweep()))]
 
