@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from riins_federated import structures
 from riins_federated.adaptive_noise import AdaptiveNoise
 from riins_federated.aiding import Measurement
 from riins_federated.inertial_evidence import InertialEvidence
@@ -68,6 +69,21 @@ def test_fusion_reset_is_the_centralized_filter(weights: list[float], seed: int,
     one = centralized()
     np.testing.assert_allclose(run(federated, aids), run(one, aids), rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(federated.P, one.P, rtol=1e-9, atol=1e-15)
+
+
+def test_fusion_reset_is_the_centralized_filter_with_shares_drawn_anew_at_every_fusion(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(29)
+    drawn: list[np.ndarray] = []
+
+    def shares(*_: object) -> np.ndarray:
+        drawn.append(rng.dirichlet(np.ones(AIDS)) * 0.94 + 0.02)
+        return drawn[-1]
+
+    monkeypatch.setattr(structures, "innovation_shares", shares)
+    _, aids = voyage(4, 60)
+    federated, one = FederatedFilter(np.zeros(N), P0, AIDS, sharing="innovation", gate=OPEN), centralized()
+    np.testing.assert_allclose(run(federated, aids), run(one, aids), rtol=0.0, atol=1e-8)
+    assert len(drawn) == 60 and np.ptp(drawn, axis=0).min() > 0.3
 
 
 @settings(max_examples=12, deadline=None)

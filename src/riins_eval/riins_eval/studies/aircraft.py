@@ -43,6 +43,15 @@ CORRELATED, GPS_TAU = 0.8, 100.0
 """Part of GPS's sigma that is correlated where it is, and its time, s; 002 gives none."""
 MARKOV_DRIFT, MARKOV_TIME = 0.003 * DEG_PER_H, 3600.0
 SCORED = 60
+CLAIMED = (10.0, 0.5, 60.0)
+"""m, m/s, arcsec: in normal operation and with any one subsystem failed."""
+
+
+WHY = {
+    "white GPS, without star sensor": "; the heading begins with 120 arcsec, and a straight flight tells little of it",
+    "correlated GPS, modelled": "; an error that lasts 100 s does not average out: what is left is 25 to 35 m, and the filter says so",
+    "correlated GPS, taken as white": "; an error that lasts 100 s does not average out, and the filter does not know",
+}
 
 
 class AidFault(NamedTuple):
@@ -199,10 +208,12 @@ def delay(flown: Flown, fault: AidFault) -> float:
     return float(out.argmax()) if out.any() else np.inf
 
 
-def claims(flown: Flown) -> bool:
-    """002: 10 m (from 200 s), 0.5 m/s, 60 arcsec, at every second from 60 s on."""
+def claims(flown: Flown) -> tuple[bool, bool, bool]:
+    """002: 10 m (from 200 s), 0.5 m/s, 60 arcsec, each at every second from 60 s on."""
     e = np.abs(flown.error)
-    return bool((e[200:, :3] <= 10.0).all() and (e[SCORED:, 3:6] <= 0.5).all() and (e[SCORED:, 6:] <= 60.0 * ARCSEC).all())
+    parts = e[200:, :3] <= CLAIMED[0], e[SCORED:, 3:6] <= CLAIMED[1], e[SCORED:, 6:] <= CLAIMED[2] * ARCSEC
+    position, velocity, attitude = (bool(part.all()) for part in parts)
+    return position, velocity, attitude
 
 
 def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Sequence[Figure]]:
@@ -223,7 +234,12 @@ def run(seeds: int, quick: bool, progress: Progress) -> tuple[Sequence[Row], Seq
         if options.get("faults"):
             rows += _faults(made)
         progress((i + 1.0) / len(variants))
-    return rows, [] if quick else [Figure("aircraft-tests", "Innovation tests with the faults of table 2 (figure 7a)", _draw)]
+    figures = [
+        Figure("aircraft-path", "The flight (figure 6)", _draw_path),
+        Figure("aircraft-tests", "Innovation tests with the faults of table 2 (figure 7a)", _draw),
+        Figure("aircraft-errors", "Errors with the faults of table 2 (figures 7b to 7d); dashed: what is claimed", _draw_errors),
+    ]
+    return rows, [] if quick else figures
 
 
 def _accuracy(name: str, made: Sequence[Flown], aimed: bool) -> list[Row]:
@@ -236,10 +252,12 @@ def _accuracy(name: str, made: Sequence[Flown], aimed: bool) -> list[Row]:
         for i, word in enumerate(words)
     ]
     held = np.array([claims(one) for one in made], dtype=float)
+    each = "position {:.0%}, velocity {:.0%}, attitude {:.0%} of the runs".format(*held.mean(axis=0))
+    told = aimed or "faults" in name  # what the paper says of it; the other variants it does not have
     rows.append(
         row(
-            42 if aimed else None, f"{name}: runs that keep 10 m, 0.5 m/s, 60 arcsec throughout", held, paper="all",
-            ok=(lambda r: r.value >= 0.95) if aimed else None,
+            42 if aimed else None, f"{name}: runs that keep 10 m, 0.5 m/s, 60 arcsec throughout", held.all(axis=1), paper="all" if told else None,
+            ok=(lambda r: r.value >= 0.95) if told else None, remark=each + WHY.get(name, ""),
         )
     )  # fmt: skip
     false = np.array([np.count_nonzero(one.rejected) for one in made], dtype=float)
@@ -261,7 +279,8 @@ def _faults(made: Sequence[Flown]) -> list[Row]:
             rows.append(row(43, f"{fault.name}: not detected in", missed, paper="detected, no delay", ok=lambda r: r.value >= 0.9, remark=remark))
             continue
         low, high = limits[key]
-        rows.append(row(43, f"{fault.name}: delay, s", late, paper=0.0, centre=np.median, ok=functools.partial(_between, low, high)))
+        remark = "it begins at nothing: no test finds it at once" if high else ""
+        rows.append(row(43, f"{fault.name}: delay, s", late, paper=0.0, centre=np.median, ok=functools.partial(_between, low, high), remark=remark))
     return rows
 
 
@@ -271,6 +290,46 @@ def _most(limit: float, made: Row) -> bool:
 
 def _between(low: float, high: float, made: Row) -> bool:
     return low <= made.value <= high
+
+
+def path() -> Array:
+    """Latitude, longitude [deg], height [m] and speed [m/s] of each second, (seconds, 4)."""
+    lat, lon, speed = np.radians(34.0), np.radians(108.0), 100.0
+    out = np.empty((SECONDS, 4))
+    for k in range(SECONDS):
+        speed += 1.0 if 100 <= k < 200 else 0.0
+        meridian, normal_radius = (float(one) for one in radii(lat))
+        lat += speed * np.cos(np.radians(30.0)) / (meridian + 1000.0)
+        lon += speed * np.sin(np.radians(30.0)) / ((normal_radius + 1000.0) * np.cos(lat))
+        out[k] = np.degrees(lat), np.degrees(lon), 1000.0, speed
+    return out
+
+
+def _draw_path(canvas: Any) -> None:
+    flown = path()
+    axes = canvas.subplots(1, 3)
+    for ax, x, y, words in zip(axes, (flown[:, 1], None, None), (flown[:, 0], flown[:, 2], flown[:, 3]), _PATH, strict=True):
+        ax.plot(np.arange(SECONDS) if x is None else x, y, color="#0072b2")
+        ax.set(xlabel=words[0], ylabel=words[1])
+
+
+_PATH = (("longitude, deg", "latitude, deg"), ("time, s", "height, m"), ("time, s", "speed, m/s"))
+
+
+def _draw_errors(canvas: Any) -> None:
+    error = fly(0, faults=True).error
+    axes = canvas.subplots(3, 1, sharex=True)
+    kinds = zip(axes, ("position, m", "velocity, m/s", "attitude, arcsec"), (1.0, 1.0, ARCSEC), CLAIMED, strict=True)
+    for i, (ax, label, unit, claimed) in enumerate(kinds):
+        for axis, color, name in zip(range(3), ("#0072b2", "#d55e00", "#009e73"), ("north", "east", "down"), strict=True):
+            ax.plot(error[:, 3 * i + axis] / unit, lw=0.7, color=color, label=name)
+        for limit in (-claimed, claimed):
+            ax.axhline(limit, color="#999999", lw=1, ls="--")
+        for fault in FAULTS:
+            ax.axvspan(fault.first, fault.last, color="#d55e00", alpha=0.1)
+        ax.set(ylabel=label, ylim=(-1.2 * claimed, 1.2 * claimed))
+    axes[0].legend(loc="upper right", ncols=3, fontsize=8)
+    axes[-1].set_xlabel("time, s; red: a fault")
 
 
 def _draw(canvas: Any) -> None:
