@@ -19,6 +19,7 @@ from riins_bag.bag import BagReader
 from riins_federated.aid_inputs import AidInput, inputs
 from riins_federated.alignment_settings import AlignCommand, MasterState
 from riins_federated.navigator import Navigator
+from riins_federated.timeline import SOON_NS
 from riins_federated.types import Aid, InitialState, UseCommand
 from riins_imu_fusion.config import KINDS
 from riins_imu_fusion.types import FusedBlock, join
@@ -279,6 +280,9 @@ class _Run:
                 continue
             before = int(np.searchsorted(part.log_ns, log_ns, side="left"))
             seen = int(newest[before - 1]) if before else self._newest
+            if seen > -(2**61) and item.stamp_ns - seen > max(SOON_NS, self._max_delay):
+                self.lane.navigator.add_aid(item, seen)  # refused and counted, as it was live
+                continue
             (late if 0 <= seen - item.stamp_ns - self._max_delay < 2**61 else early).append(item)
         self.lane.feed(early, fused, self.pipeline)
         self.lane.calibrate(self.pipeline)

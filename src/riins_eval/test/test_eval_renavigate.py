@@ -241,6 +241,19 @@ def test_what_came_too_late_is_late_again(bag, tmp_path):
     assert result["subfilters"].get("doppler", {"accepted": 0})["accepted"] <= 6
 
 
+def test_what_another_clock_has_stamped_is_refused_and_counted(bag, tmp_path):
+    def ahead(one):
+        if one.topic != "/doppler/velocity":
+            return one.data, one.log_ns
+        message = deserialize(one.msgtype, one.data)
+        message.header.stamp.sec += 3600
+        return serialize(one.msgtype, message), one.log_ns
+
+    rewrite(bag, tmp_path / "ahead", ahead)
+    result = offline.navigate(tmp_path / "ahead").score
+    assert result["samples"]["late"] == 60 and not result["subfilters"].get("doppler", {"accepted": 0})["accepted"]
+
+
 def test_malformed_samples_are_counted(bag, tmp_path):
     store = {}
 

@@ -93,6 +93,13 @@ class AlignmentDesk:
             self._active = self._begun(AlignCommand(stamp_ns - 1, self._config.alignment.method), waiting)
         self._automatic = False
 
+    def forget_beyond(self, stamp_ns: int) -> int:
+        """Give up commands that wait for a later stamp; returns how many."""
+        far = [one for one in self._waiting if _stamp(one) > stamp_ns]
+        self.reports += [one.give_up(_stamp(one), "its stamp is far ahead of the IMU") for one in far if isinstance(one, Aligner)]
+        self._waiting = [one for one in self._waiting if _stamp(one) <= stamp_ns]
+        return len(far)
+
     def append(self, stamp_ns: NDArray[np.int64], rate: Array, force: Array, rate_covariance: Array, force_covariance: Array) -> None:
         """Samples of a run."""
         for aligner in self._aligners():

@@ -17,10 +17,11 @@ from .aligner import warm_up as warm_up_alignment
 from .alignment_settings import AlignCommand, AlignmentReport, MasterState
 from .config import NavigatorConfig
 from .ordered_run import RANK_COMMAND, RANK_INITIAL, OrderedRun
+from .timeline import MONTH_NS, SOON_NS
 from .types import Aid, Array, FederatedReport, InitialState, Judged, NavEvent, NavSolution, Reason, Recall, SettledEpoch, UseCommand
 
 MAX_WAITING = 100_000
-"""Items that may wait for the IMU to reach their stamp."""
+"""Measurements of one aid that may wait for the IMU to reach their stamp."""
 
 
 class Navigator(OrderedRun):
@@ -33,6 +34,7 @@ class Navigator(OrderedRun):
     Attributes
     ----------
     imu_received, imu_lost, imu_rejected : samples
+    commands_refused : of `set_use` and `align`
     restarts : jumps of the IMU stamp by more than `max_delay_s` that were no gap to be bridged
     rollbacks : times a late measurement was worked in
 
@@ -46,6 +48,11 @@ class Navigator(OrderedRun):
     def labels(self) -> tuple[str, ...]:
         """Names of the states with their units, in the order of the covariance."""
         return self._filter.states.labels
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest IMU sample; None before the first of a run."""
+        return self._last_ns
 
     # ---- input ----
 
@@ -74,6 +81,8 @@ class Navigator(OrderedRun):
         if running and (initial.stamp_ns <= self._filter.started_ns or self._is_late(initial.stamp_ns)):
             # kept all the same: the IMU stamp may be about to jump back to it, as when a bag loops
             return f"the initial state comes too late: its stamp is before the run, or {self.config.max_delay_s:g} s before the newest IMU sample"
+        if problem := self._far(initial.stamp_ns):
+            return problem  # kept, as above
         if running:
             self._queue.add(initial.stamp_ns, RANK_INITIAL, initial)
             self._take_in(initial.stamp_ns)
@@ -81,8 +90,13 @@ class Navigator(OrderedRun):
             self._advance()
         return ""
 
-    def add_aid(self, aid: Aid) -> Reason:
+    def add_aid(self, aid: Aid, newest_ns: int | None = None) -> Reason:
         """Take a measurement, whenever it arrives.
+
+        Parameters
+        ----------
+        aid : Aid
+        newest_ns : the newest IMU sample at its arrival; None: it is not known who came first, as where whole blocks are given
 
         Returns
         -------
@@ -95,7 +109,11 @@ class Navigator(OrderedRun):
         if reason is Reason.NONE and self._is_late(aid.stamp_ns):
             local.late += 1
             return Reason.LATE
-        if reason is Reason.NONE and (len(self._queue) >= MAX_WAITING or not self._queue.add(aid.stamp_ns, self._rank[aid.name], aid)):
+        ahead = newest_ns is not None and aid.stamp_ns - newest_ns > max(SOON_NS, self._max_delay)
+        if reason is Reason.NONE and (ahead or self._queue.number(self._rank[aid.name]) >= MAX_WAITING):
+            local.late += 1
+            return Reason.AHEAD
+        if reason is Reason.NONE and not self._queue.add(aid.stamp_ns, self._rank[aid.name], aid):
             reason = Reason.DUPLICATE
         if reason is Reason.NO_FIX:
             local.no_fix += 1
@@ -110,34 +128,46 @@ class Navigator(OrderedRun):
     def set_use(self, command: UseCommand) -> str:
         """Exclude or restore a subfilter from a measurement time on; '' or one sentence why not."""
         if command.name not in self._rank:
-            return f'there is no subfilter "{command.name}"; there are: {", ".join(self._rank)}'
+            return self._refuse(f'there is no subfilter "{command.name}"; there are: {", ".join(self._rank)}')
         if self._is_late(command.stamp_ns):
-            return f"the command is more than {self.config.max_delay_s:g} s older than the newest IMU sample"
+            return self._refuse(f"the command is more than {self.config.max_delay_s:g} s older than the newest IMU sample")
+        if problem := self._far(command.stamp_ns):
+            return self._refuse(problem)
         if not self._queue.add(command.stamp_ns, RANK_COMMAND + self._rank[command.name], command):
-            return "there is a command of this stamp already"
+            return self._refuse("there is a command of this stamp already")
         self._desk.add(command)
         self._take_in(command.stamp_ns)
         return ""
 
     def align(self, command: AlignCommand) -> str:
         """Align from a measurement time on, while navigating or not, or give up what is under way; '' or one sentence why not."""
-        problem = command.problem()
-        if problem:
-            return problem
+        if problem := command.problem() or self._far(command.stamp_ns):
+            return self._refuse(problem)
         if self._last_ns is not None and command.stamp_ns <= self._last_ns:
-            return "the command comes after its stamp: samples behind it have been taken"
+            return self._refuse("the command comes after its stamp: samples behind it have been taken")
         if command.stamp_ns in self._desk.stamps():
-            return "there is a command of this stamp already"
+            return self._refuse("there is a command of this stamp already")
         self._desk.command(command, self._queue.waiting())
         return ""
 
+    def _far(self, stamp_ns: int) -> str:
+        """What is wrong with a stamp of another clock, one sentence, or ''."""
+        ahead = stamp_ns - self._last_ns if self._last_ns is not None else 0
+        return f"its stamp is {ahead / 86_400e9:.0f} days ahead of the newest IMU sample" if ahead > MONTH_NS else ""
+
+    def _refuse(self, why: str) -> str:
+        self.commands_refused += 1
+        return why
+
     def add_master(self, state: MasterState) -> Reason:
-        """Take a state of the INS that transfer alignment learns from; it is dropped when it is not valid, not usable or too late."""
+        """Take a state of the INS that transfer alignment learns from; it is dropped when it is not valid, not usable, too late or far ahead."""
         reason = state.defect()
         if reason is not Reason.NONE:
             return reason
         if self._is_late(state.stamp_ns):
             return Reason.LATE
+        if self._far(state.stamp_ns):
+            return Reason.AHEAD
         self._desk.add(state)
         return Reason.NONE
 

@@ -151,7 +151,7 @@ class NavigatorNode(AutostartLifecycleNode):
         if not aid.R.any() and name not in self._without_covariance:
             self._without_covariance.add(name)
             self.get_logger().warning(f"{name} reports no covariance: its configured sigma is used")
-        reason = self._navigator.add_aid(aid)
+        reason = self._navigator.add_aid(aid, self._navigator.newest_ns)
         if reason not in (Reason.NONE, Reason.NO_FIX):
             self.get_logger().warning(f"{name}: measurement dropped ({reason.name.lower()})", throttle_duration_sec=10.0)
 
@@ -232,7 +232,7 @@ class NavigatorNode(AutostartLifecycleNode):
         self._report = report
         self._publish("nav/subfilters", fields.federated_status(report, changed or "", self._events))
         if self._second.now(stamp_ns):
-            self._publish("/diagnostics", fields.diagnostics(stamp_ns, diagnosis(report, self._refused)))
+            self._publish("/diagnostics", fields.diagnostics(stamp_ns, diagnosis(report, self._refused, self._navigator.commands_refused)))
 
     def _watch_inputs(self) -> None:
         if not self.active:

@@ -22,7 +22,7 @@ from .gaps import Gaps
 from .integrated_filter import IntegratedFilter
 from .logbook import Logbook
 from .standstill import Standstill
-from .timeline import Checkpoint, Due, EventQueue, ImuBuffer, next_due, to_ns
+from .timeline import MONTH_NS, Checkpoint, Due, EventQueue, ImuBuffer, next_due, to_ns
 from .types import Aid, Array, InitialState, Judged, Reason, Recall, UseCommand
 
 LOST_BEYOND = 2**31
@@ -48,7 +48,7 @@ class OrderedRun:
         self._gaps = Gaps()
         self._last_ns: int | None = None
         self._last_sequence: int | None = None
-        self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = 0
+        self.imu_received = self.imu_lost = self.imu_rejected = self.restarts = self.rollbacks = self.commands_refused = 0
         self._clear()
 
     def _clear(self) -> None:
@@ -67,6 +67,8 @@ class OrderedRun:
     ) -> None:
         if len(stamp_ns) == 0:
             return
+        if self._last_ns is None:
+            self._forget_beyond(int(stamp_ns[0]) + MONTH_NS)
         first = stamp_ns[0] - self._last_ns if self._last_ns is not None else 0  # the first step of a run is counted from the initial state
         dt = np.diff(stamp_ns, prepend=stamp_ns[0] - first) * 1e-9
         gaps = np.diff(sequence, prepend=sequence[0] - 1 if self._last_sequence is None else self._last_sequence)
@@ -80,6 +82,15 @@ class OrderedRun:
             self._queue.add(aid.stamp_ns, self._rank[aid.name], aid)
             self._go_back(aid.stamp_ns)
         self._last_ns, self._last_sequence = int(stamp_ns[-1]), int(sequence[-1])
+
+    def _forget_beyond(self, stamp_ns: int) -> None:
+        """The first sample of a run says what time it is: what waits for another clock's time is refused now."""
+        for _, rank, item in self._queue.cut(stamp_ns):
+            if isinstance(item, Aid):
+                self._filter.subfilters[rank].late += 1
+            else:
+                self.commands_refused += 1
+        self.commands_refused += self._desk.forget_beyond(stamp_ns)
 
     def _queue_recalls(self, stamp_ns: NDArray[np.int64], recalls: Sequence[Recall]) -> Sequence[Recall]:
         """Put the recalls that belong to samples just appended into the queue; returns the others."""

@@ -60,10 +60,10 @@ def what_changed(before: FederatedReport | None, report: FederatedReport) -> str
     return "" if report.subfilters != before.subfilters else None
 
 
-def diagnosis(report: FederatedReport, refused_initial_states: int) -> list[tuple[str, str, str, dict[str, Any]]]:
+def diagnosis(report: FederatedReport, refused_initial_states: int, refused_commands: int = 0) -> list[tuple[str, str, str, dict[str, Any]]]:
     """Statuses for diagnostic_msgs: (name, level, message, values), the navigator's and one for each subfilter."""
     counts: dict[str, Any] = {name: getattr(report, name) for name in ("imu_received", "imu_lost", "imu_rejected", "restarts", "rollbacks")}
-    counts["initial_states_refused"] = refused_initial_states
+    counts["initial_states_refused"], counts["commands_refused"] = refused_initial_states, refused_commands
     apart = report.cross_check > report.cross_check_threshold
     if report.cross_check_threshold:
         counts["cross-check of the receivers"] = f"{report.cross_check:.2f} (threshold {report.cross_check_threshold:.2f})"

@@ -7,6 +7,7 @@ Does not live here: the filter and its roll-back (navigator.py).
 from __future__ import annotations
 
 import bisect
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -57,6 +58,10 @@ class Checkpoint:
 
 
 NEVER_NS = 2**62
+SOON_NS = 60_000_000_000
+"""A measurement that is stamped further ahead of the newest IMU sample at its arrival has another clock's stamp."""
+MONTH_NS = 30 * 86_400_000_000_000
+"""A command may be for later, and one of a recording that is played comes before its samples; beyond this it has another clock's stamp."""
 _COLUMNS = ("stamp", "rate", "force", "rate_covariance", "force_covariance", "dt", "unknown")
 
 
@@ -119,11 +124,13 @@ class EventQueue:
     def __init__(self) -> None:
         self._items: list[Timed] = []
         self._keys: set[tuple[int, int]] = set()
+        self._number: Counter[int] = Counter()
         self._dropped = 0
         self.cursor = 0
 
-    def __len__(self) -> int:
-        return len(self._items)
+    def number(self, rank: int) -> int:
+        """Items of a source."""
+        return self._number[rank]
 
     def add(self, stamp_ns: int, rank: int, item: Any) -> bool:
         """Insert; False if that source already has an item of that stamp."""
@@ -131,6 +138,7 @@ class EventQueue:
             return False
         bisect.insort(self._items, Timed(stamp_ns, rank, item), key=lambda t: t[:2])
         self._keys.add((stamp_ns, rank))
+        self._number[rank] += 1
         return True
 
     def head_ns(self) -> int:
@@ -150,9 +158,21 @@ class EventQueue:
     def drop(self, cursor: int) -> None:
         """Forget the items before a cursor."""
         n = cursor - self._dropped
-        self._keys.difference_update((t.stamp_ns, t.rank) for t in self._items[:n])
+        self._forget(self._items[:n])
         del self._items[:n]
         self._dropped = cursor
+
+    def cut(self, stamp_ns: int) -> list[Timed]:
+        """Take out what is later than a stamp and not yet worked."""
+        n = max(bisect.bisect_right(self._items, stamp_ns, key=lambda t: t.stamp_ns), self.cursor - self._dropped)
+        out = self._items[n:]
+        del self._items[n:]
+        self._forget(out)
+        return out
+
+    def _forget(self, items: list[Timed]) -> None:
+        self._keys.difference_update((t.stamp_ns, t.rank) for t in items)
+        self._number.subtract(t.rank for t in items)
 
 
 class Journal:

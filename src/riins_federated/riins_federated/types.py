@@ -51,6 +51,7 @@ class Reason(IntEnum):
     DUPLICATE = 10
     INNOVATIONS = 11
     FRAME = 12
+    AHEAD = 13
 
 
 @dataclass(frozen=True)

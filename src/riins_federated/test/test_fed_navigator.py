@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from riins_core.earth import radii
+from riins_federated.alignment_settings import AlignCommand, MasterState
 from riins_federated.navigator import Navigator
 from riins_federated.types import Aid, Mode, NavSolution, Reason, UseCommand, Validity
 
@@ -113,6 +114,49 @@ def test_too_late_is_counted_and_changes_nothing(v: Voyage, straight) -> None:
     assert navigator.add_aid(late) is Reason.LATE
     counts = {s.name: s.late for s in navigator.status().subfilters}
     assert counts[late.name] == 1 and sum(counts.values()) == 1
+
+
+YEARS = 10**17
+
+
+def test_what_has_the_stamp_of_another_clock_is_refused_and_changes_nothing(v: Voyage, straight, monkeypatch) -> None:
+    """Before the first sample nobody can know: then it is refused with that sample."""
+    navigator, first, half = Navigator(config()), int(v.stamp[0]), len(v.stamp) // 2
+    one = next(aid for aid in v.aids if aid.name == "gps")
+    assert navigator.add_aid(replace(one, stamp_ns=first + YEARS)) is Reason.NONE
+    assert navigator.set_use(UseCommand("gps", False, first + YEARS)) == navigator.align(AlignCommand(first + YEARS, "auto")) == ""
+    navigator.set_initial_state(v.initial)
+    begun = [aid for aid in v.aids if aid.stamp_ns <= v.stamp[half - 1]]
+    for aid in begun:
+        navigator.add_aid(aid)
+    navigator.add_imu(v.stamp[:half], v.sequence[:half], v.rate[:half], v.force[:half])
+    assert navigator.commands_refused == 2 and not navigator._desk.busy
+    assert [(r.begin_ns, r.ended) for r in navigator.drain_alignment()] == [(first + YEARS, "cancelled")]
+    newest = navigator.newest_ns
+    assert newest == v.stamp[half - 1]
+    assert navigator.add_aid(replace(one, stamp_ns=newest + 61 * SECOND), newest) is Reason.AHEAD
+    monkeypatch.setattr("riins_federated.navigator.MAX_WAITING", 100)
+    taken = [navigator.add_aid(replace(one, stamp_ns=newest + 30 * SECOND + k), newest) for k in range(101)]
+    assert taken[-1] is Reason.AHEAD and taken.count(Reason.NONE) <= 100  # what it floods is its own
+    navigator._queue.cut(newest)
+    for problem in (
+        navigator.set_use(UseCommand("gps", False, newest + YEARS)), navigator.align(AlignCommand(newest + YEARS, "auto")),
+        navigator.set_initial_state(replace(v.initial, stamp_ns=newest + YEARS)),
+    ):  # fmt: skip
+        assert problem == "its stamp is 1157 days ahead of the newest IMU sample"
+    assert navigator.add_master(master(newest + YEARS)) is Reason.AHEAD and not navigator._desk.busy and navigator.commands_refused == 4
+    for aid in v.aids[len(begun) :]:
+        assert navigator.add_aid(aid) is Reason.NONE
+    navigator.add_imu(v.stamp[half:], v.sequence[half:], v.rate[half:], v.force[half:])
+    navigator.finish()
+    same(navigator.drain_settled(), straight[0])
+    late = {s.name: s.late for s in navigator.status().subfilters}
+    assert late == {"gps": 2 + taken.count(Reason.AHEAD), "bds": 0, "doppler": 0}
+
+
+def master(stamp_ns: int) -> MasterState:
+    third = np.ones(3)
+    return MasterState(stamp_ns, 0.7, 2.1, 0.0, 0 * third, np.eye(3), third, third, third)
 
 
 def test_fusion_reset_equals_the_information_form(v: Voyage) -> None:

@@ -18,6 +18,10 @@ from riins_imu_fusion.running import Methods
 from riins_imu_fusion.selection import Commands, Selection, UseSensor, refusal
 from riins_imu_fusion.types import CommandResult, Reason
 
+MONTH_NS = 30 * 86_400_000_000_000
+"""A command may be for later, and one of a recording that is played comes before its samples; beyond this it has another clock's stamp."""
+_REFUSED = ("passed", "lies")
+
 
 class Commanded(ABC):
     """Commands to a pipeline of n sensors of each kind."""
@@ -56,7 +60,7 @@ class Commanded(ABC):
         if command is None:
             return self._refuse(f'no sensor "{target}": gyro_0 .. gyro_{self.n - 1}, accel_0 .. accel_{self.n - 1}')
         effective_ns, when = self._due(effective_ns)
-        if when.startswith("passed"):
+        if when.startswith(_REFUSED):
             return self._refuse(f"{target}: the effective stamp {when}")
         self._put(effective_ns, command)
         return CommandResult(True, effective_ns, f"{target}: {'probation' if use else 'excluded'} from {when} on")
@@ -79,7 +83,7 @@ class Commanded(ABC):
         if problem := refusal(fusion, parity_test, sequential_test, self.n):
             return self._refuse(problem)
         effective_ns, when = self._due(effective_ns)
-        if when.startswith("passed"):
+        if when.startswith(_REFUSED):
             return self._refuse(f"method: the effective stamp {when}")
         now = self.selected(effective_ns)
         chosen = Selection(fusion or now.fusion, parity_test or now.parity_test, sequential_test or now.sequential_test, adapt_noise)
@@ -105,7 +109,7 @@ class Commanded(ABC):
             np.array([gyro_bias, accel_bias], np.float64).reshape(2, 3), np.array([gyro_covariance, accel_covariance], np.float64).reshape(2, 3, 3)
         )
         problem, when = calibration.problem(), self._due(effective_ns)[1] if effective_ns else "passed: it has none"
-        problem = problem or (f"the effective stamp {when}" if when.startswith("passed") else "")
+        problem = problem or (f"the effective stamp {when}" if when.startswith(_REFUSED) else "")
         if problem:
             self._calibrations_refused += 1
             self._tell(self.last_stamp_ns or 0, "command", -1, None, Reason.OPERATOR, f"calibration refused: {problem}")
@@ -118,12 +122,14 @@ class Commanded(ABC):
         return self._methods.selection if effective_ns is None else self._commands.selection(effective_ns, self._methods.selection)
 
     def _due(self, effective_ns: int) -> tuple[int, str]:
-        """Stamp from which a command holds, and in words; the words begin with "passed" when that time has."""
+        """Stamp from which a command holds, and in words; the words begin with one of _REFUSED when that time has passed, or is another clock's."""
         last = self.last_stamp_ns
         if effective_ns == 0:
             return (ALWAYS_NS if last is None else last + 1), "the next sample"
         if last is not None and effective_ns <= last:
             return effective_ns, f"passed {(last - effective_ns) * 1e-9:.3f} s ago"
+        if last is not None and effective_ns - last > MONTH_NS:
+            return effective_ns, f"lies {(effective_ns - last) / 86_400e9:.0f} days ahead of the newest sample"
         return effective_ns, "the next sample" if effective_ns == (last or 0) + 1 else f"{effective_ns * 1e-9:.3f} s"
 
     def _put(self, effective_ns: int, command: UseSensor | Selection | Calibration) -> None:

@@ -151,5 +151,9 @@ def test_a_command_whose_stamp_has_passed_is_refused_and_counted() -> None:
     feed.into(pipeline)
     assert not pipeline.set_sensor_use("accel_0", False, int(feed.stamp[-1])).success
     assert pipeline.counters.commands_refused == 1 and pipeline.status().accel.state == (0,) * 6
+    far = pipeline.set_sensor_use("accel_0", False, int(feed.stamp[-1]) + 10**17)
+    assert far == (False, 0, "accel_0: the effective stamp lies 1157 days ahead of the newest sample")
+    far = pipeline.set_method("opt", effective_ns=int(feed.stamp[-1]) + 10**17)
+    assert not far.success and pipeline.counters.commands_refused == 3
     now = pipeline.set_sensor_use("accel_0", False)
     assert now.success and now.effective_ns == feed.stamp[-1] + 1
