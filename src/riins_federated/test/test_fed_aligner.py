@@ -118,7 +118,9 @@ def test_no_motion_for_poor_gyros_gives_no_heading() -> None:
 def test_settings_that_cannot_be() -> None:
     for bad, words in (({"position": (1.0,)}, "latitude, longitude, height"),
                        ({"position": (200.0, 0.0, 0.0)}, "latitude in -90"),
-                       ({"heading": (1.0, 0.0)}, "positive")):  # fmt: skip
+                       ({"heading": (1.0, 0.0)}, "not 0"),
+                       ({"heading": (4000.0, 1.0)}, "-360 .. 360"),
+                       ({"heading": (1.0, 1e9)}, "0 .. 90")):  # fmt: skip
         with pytest.raises(SettingError, match=words):
             config(bad)
     navigator = Navigator(config({}))
