@@ -26,6 +26,9 @@ from .waves import SeaSettings
 
 __all__ = ["Scenario", "ScenarioError", "from_yaml", "load", "names"]
 
+IMU = "imu"
+"""The whole redundant IMU, as the target of an outage."""
+
 
 @dataclass(frozen=True)
 class StartSettings:
@@ -127,9 +130,9 @@ class InitialSettings:
 
 @dataclass(frozen=True)
 class OutageSettings:
-    """A time in which an aid gives nothing, in the fault-free twin too."""
+    """A time in which an aid, or the whole redundant IMU, gives nothing, in the fault-free twin too."""
 
-    target: str = setting(doc="aid", choices=AIDS)
+    target: str = setting(doc="aid, or imu", choices=(IMU, *AIDS))
     start_s: float = setting(doc="since the start", unit="s", low=0.0, high=1e7)
     end_s: float = setting(doc="since the start", unit="s", low=0.0, high=1e7)
 
@@ -167,7 +170,7 @@ class Scenario:
     star_tracker: StarTrackerSettings = section(StarTrackerSettings, "star sensor")
     initial: InitialSettings = section(InitialSettings, "errors at the start")
     faults: tuple[FaultSettings, ...] = setting((), "faults, in the order in which they act on a value")
-    outages: tuple[OutageSettings, ...] = setting((), "times without an aid")
+    outages: tuple[OutageSettings, ...] = setting((), "times without an aid, or without the redundant IMU")
     scoring: ScoringSettings = section(ScoringSettings, "what counts")
     navigator: dict = dataclasses.field(default_factory=dict, metadata={"doc": "settings of the navigator that differ from its own defaults"})  # type: ignore[type-arg]
     fusion: dict = dataclasses.field(default_factory=dict, metadata={"doc": "settings of the IMU fusion that differ from its own defaults"})  # type: ignore[type-arg]
@@ -197,10 +200,15 @@ class Scenario:
         return FaultSchedule([f.fault() for f in self.faults], self.seed)
 
     def outage_schedule(self) -> FaultSchedule:
-        """The scenario's outages as dropouts; they belong to the fault-free twin too."""
-        return FaultSchedule(
-            [Fault(o.target, FaultType.DROPOUT, start_ns=round(o.start_s * 1e9), end_ns=round(o.end_s * 1e9)) for o in self.outages], self.seed
-        )
+        """The outages of the aids as dropouts; they belong to the fault-free twin too."""
+        dropouts = [
+            Fault(o.target, FaultType.DROPOUT, start_ns=round(o.start_s * 1e9), end_ns=round(o.end_s * 1e9)) for o in self.outages if o.target != IMU
+        ]
+        return FaultSchedule(dropouts, self.seed)
+
+    def imu_outages(self) -> list[tuple[int, int]]:
+        """Times [start, end) without a sample of the redundant IMU, ns since the start."""
+        return [(round(o.start_s * 1e9), round(o.end_s * 1e9)) for o in self.outages if o.target == IMU]
 
     def with_seed(self, seed: int) -> Scenario:
         """The same voyage with other random numbers; a negative seed changes nothing."""

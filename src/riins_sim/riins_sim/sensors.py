@@ -7,7 +7,7 @@ odometer, altimeter and star sensor (further_sensors.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,6 +116,7 @@ class RedundantImuSim:
         self.array = array or ImuArray(CONFIGURATIONS[scenario.imu.configuration])
         self.samples = self.trajectory.samples
         self._rate_hz = scenario.imu_rate_hz
+        self._outages = scenario.imu_outages()
         self._gyro_limit = float(np.deg2rad(scenario.imu.gyro_range_deg_s))
         self._accel_limit = scenario.imu.accel_range_g * STANDARD_GRAVITY
         dt, seed = self.trajectory.dt, scenario.seed
@@ -146,7 +147,7 @@ class RedundantImuSim:
 
         Returns
         -------
-        RawBlock; the same bits however the samples are split into blocks
+        RawBlock; the same bits however the samples are split into blocks; without the samples of an outage
 
         Raises
         ------
@@ -163,7 +164,12 @@ class RedundantImuSim:
             accel_valid = faults.apply_axes("accel", stamp, k0, accel, lambda t: self._before(t, 1))
         np.clip(gyro, -self._gyro_limit, self._gyro_limit, out=gyro)
         np.clip(accel, -self._accel_limit, self._accel_limit, out=accel)
-        return RawBlock(k, stamp, gyro, accel, gyro_valid, accel_valid)
+        block = RawBlock(k, stamp, gyro, accel, gyro_valid, accel_valid)
+        for start_ns, end_ns in self._outages:
+            there = (block.stamp_ns < start_ns) | (block.stamp_ns >= end_ns)
+            if not there.all():
+                block = RawBlock(*(getattr(block, field.name)[there] for field in fields(RawBlock)))
+        return block
 
     def _clean(self, k0: int, m: int) -> tuple[Array, Array]:
         rate, force = self.trajectory.increments(k0, m)

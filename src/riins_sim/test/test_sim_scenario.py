@@ -66,7 +66,7 @@ def test_the_good_one():
         ("duration_s: 60", "duration_s: 60\noutages: [{target: gps, start_s: 1, end_s: 1e300}]", 3, "must be in 0.0 .. 10000000.0"),
         ("duration_s: 60", "duration_s: 60\nnavigator: gps", 3, "must be a mapping of names to values, not 'gps'"),
         ("duration_s: 60", "duration_s: 60\nimu_rate_hz: 12.5", 3, "must be a whole number"),
-        ("duration_s: 60", "duration_s: 60\noutages: [{target: imu, start_s: 1, end_s: 2}]", 3, "must be one of gps, bds, doppler"),
+        ("duration_s: 60", "duration_s: 60\noutages: [{target: radar, start_s: 1, end_s: 2}]", 3, "must be one of imu, gps, bds, doppler"),
     ],
 )
 def test_errors_name_the_line(old, new, line, words):

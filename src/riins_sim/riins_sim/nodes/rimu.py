@@ -38,7 +38,7 @@ class RimuNode(SensorNode):
 
     def _emit(self, k0: int, m: int) -> None:
         block = self._imu.block(k0, m, self.faults)
-        for i in range(m):
+        for i in range(len(block.k)):
             message = fields.redundant_imu(
                 self.pacer.start_at_ns + int(block.stamp_ns[i]),
                 int(block.k[i]) & 0xFFFFFFFF,
