@@ -23,7 +23,7 @@ def test_a_silent_imu_is_bridged_and_no_aid_is_blamed(scenario, tmp_path, monkey
     imu = RedundantImuSim(voyage)
     assert (
         np.array_equal(imu.block(2190, 20).k, np.r_[2190:2200]) and len(imu.block(2210, 20).k) == 0
-    )  # a sample at the start of an outage is missing
+    )  # its start counts
     run = offline.sail(voyage, bag=tmp_path / "bag", record="raw", twins=False)
     assert run.score["samples"]["received"] == 6000 - 700
     assert run.score["false_isolations"] == 0 and run.score["nees_per_dof"] < 2.5 and run.score["position_rms_m"] < 6.0
