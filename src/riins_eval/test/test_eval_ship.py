@@ -42,6 +42,8 @@ def test_the_seed_s_voyage_at_the_oracle_s_accuracy(made, name: str) -> None:
     assert not flown.given[: epoch_of(1.0), GPS].any() and flown.given[-1].all()
     if name == ship.BEST:
         assert not flown.isolated.any()
+        away, _, lies, _ = ship.influence(flown)
+        assert away > 1.2 and lies < 1.8  # without GPS the position is that of BDS; a lie that is not fused does nothing
         assert np.all(ship.rms(ship.position_reset(made, given)[ship.SCORED :])[:2] > 8.0 * flown.rms()[:2])
 
 

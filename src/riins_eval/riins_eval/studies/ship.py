@@ -121,6 +121,27 @@ def masters(P: Array, gate: Gate = TESTED_GATE, settings: SolutionSeparation = S
     return SeparatedMasters(np.zeros(len(P)), P, len(SIGMA), settings, layout=LAYOUT, gate=gate, adaptive=adaptive)
 
 
+INFLUENCES = (
+    ("position while GPS is away", 0, (2.0 + 1.0 / 6.0, 3.0)),
+    ("velocity while the log is away", 1, (3.0 + 1.0 / 6.0, 4.0)),
+    ("velocity while the log lies", 1, (5.0, 5.0 + 1.0 / 12.0)),
+    ("position while GPS lies", 0, (9.0, 9.0 + 1.0 / 12.0)),
+)
+"""What, of `Flight.rms`, between which hours."""
+QUIET = (6.0, 9.0)
+"""Hours with all aids."""
+
+
+def influence(flown: Flight) -> Array:
+    """RMS in each of `INFLUENCES` over that of the hours with all aids, (4,)."""
+
+    def between(what: int, hours: tuple[float, float]) -> float:
+        first, last = (epoch_of(hour) - flown.first for hour in hours)
+        return float(rms(flown.error[first:last])[what])
+
+    return np.array([between(what, hours) / between(what, QUIET) for _, what, hours in INFLUENCES])
+
+
 def federated(P: Array, retention: float, gate: Gate = GATE, sharing: str = "fixed", beta: Array | None = None) -> FederatedFilter:
     """A federated filter that begins with covariance P."""
     return FederatedFilter(np.zeros(len(P)), P, len(SIGMA), retention=retention, gate=gate, sharing=sharing, beta=beta)
@@ -163,7 +184,7 @@ def _random_shares(seed: int) -> Array:
 def voyages(seeds: int, progress: Progress) -> dict[str, dict[str, list[Array]]]:
     """The seed's voyage, its faults and outages, once for each seed: RMS of each filter, and counts."""
     made = model()
-    kinds = ("rms", "nees", "rejected", "faulty", "isolated", "level")
+    kinds = ("rms", "nees", "rejected", "faulty", "isolated", "level", "influence")
     out: dict[str, dict[str, list[Array]]] = {name: {kind: [] for kind in kinds} for name in STRUCTURES}
     out |= {name: {"rms": []} for name in ("oracle", "pure INS", "position reset every 4 h (T1)", "calibration from the same fixes (T2)")}
     for seed in range(seeds):
@@ -186,6 +207,7 @@ def voyages(seeds: int, progress: Progress) -> dict[str, dict[str, list[Array]]]
             level = flown.level[SCORED - BEGIN :]
             some = np.isfinite(level)
             each["level"].append(np.array([some.sum(), (off[some] > level[some]).sum(), level[some].mean() if some.any() else np.nan]))
+            each["influence"].append(influence(flown))
             each["isolated"].append(np.array(np.count_nonzero(np.diff(flown.isolated.astype(int), axis=0) > 0)))
             progress((seed + (i + 1) / len(STRUCTURES)) / seeds)
     return out
@@ -294,6 +316,10 @@ def _counts(flown: dict[str, dict[str, list[Array]]]) -> list[Row]:
         faulty = np.array(each["faulty"])
         rows.append(row(25, f"{name}: faulty epochs fused, of {faulty[:, 0].sum()}", faulty[:, 1], ok=functools.partial(_most, 0.0)))
     level = np.array(flown[BEST]["level"])
+    for i, (words, _, _) in enumerate(INFLUENCES):
+        values = np.array(flown[BEST]["influence"])[:, i]
+        remark = "" if "lies" in words else "an aid that is missing is missed: what is left knows less, and says so"
+        rows.append(row(None, f"{BEST}: {words}, RMS over that with all aids", values, paper="no influence", centre=np.median, remark=remark))
     rows.append(row(None, f"{BEST}: mean horizontal protection level at risk {INTEGRITY_RISK:g}, m", level[:, 2]))
     rows.append(row(None, f"{BEST}: errors above it, of {level[:, 0].sum():.0f}", level[:, 1], ok=lambda r: r.value == 0.0))
     rows.append(row(None, f"{BEST}: isolations by separation in 12 h", flown[BEST]["isolated"], remark="no fault of this voyage needs one"))
