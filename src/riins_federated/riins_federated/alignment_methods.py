@@ -219,7 +219,7 @@ def _imu_place(place: Array, C_nb: Array, lever: Array, task: Task) -> Array:
     """Place of the IMU; a ship knows its height better than GNSS does."""
     lat, lon, h = moved(place, -C_nb @ lever)
     height = task.config.height
-    return np.array([lat, lon, height.mean_m if height.enabled else h])
+    return np.array([lat, lon, height.above_ellipsoid if height.enabled else h])
 
 
 def _at_rest(found: Alignment, window: Window, here: _Place, imu: ImuNoise, task: Task) -> Found:

@@ -23,12 +23,18 @@ class HeightAid:
     """Mean height of a ship: mean sea level with geoid undulation, tide and heave as correlated noise."""
 
     enabled: bool = setting(True, "a ship stays near the geoid; switch off for vehicles that leave the surface")
-    mean_m: float = setting(0.0, "mean height above the ellipsoid of the IMU", "m", -1e4, 1e5)
+    mean_m: float = setting(0.0, "mean height of the IMU above the sea; without undulation_m above the ellipsoid", "m", -1e4, 1e5)
+    undulation_m: float = setting(0.0, "mean sea level above the ellipsoid, about the geoid undulation where the ship is", "m", -200.0, 200.0)
     sigma_m: float = setting(2.0, "sigma of tide and heave", "m", 1e-3, 1e4)
     correlation_time_s: float = setting(10.0, "its correlation time", "s", 0.1, 1e5)
     period_s: float = setting(10.0, "interval at which it is fused", "s", 0.01, 3600.0)
     bias_m: float = setting(0.0, "sigma of a slow part, as the tide, which is a state; 0: none", "m", 0.0, 1e3)
     bias_time_s: float = setting(10800.0, "its correlation time", "s", 1.0, 1e7)
+
+    @property
+    def above_ellipsoid(self) -> float:
+        """Mean height of the IMU above the ellipsoid, m."""
+        return self.mean_m + self.undulation_m
 
 
 class HeightModel:
@@ -53,7 +59,7 @@ class HeightModel:
         """Innovation, H and R of the known mean height, on the down axis."""
         H = np.zeros((1, self.n))
         H[0, State.POS_D] = -1.0
-        z = pose.h - self.config.mean_m
+        z = pose.h - self.config.above_ellipsoid
         if self.bias is not None:
             H[0, self.bias] = 1.0
             z -= parameters[self.bias - N_FED_BACK]

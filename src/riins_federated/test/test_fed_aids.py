@@ -219,7 +219,7 @@ def test_a_vehicle_that_stands() -> None:
 
 
 def test_the_known_height_with_a_tide() -> None:
-    model = HeightModel(HeightAid(mean_m=12.0, bias_m=1.0))
+    model = HeightModel(HeightAid(mean_m=20.0, undulation_m=-8.0, bias_m=1.0))
     states = StateModel(InertialModel(), (), model.blocks())
     model.place(states)
     at = states.places["height.bias"].start
