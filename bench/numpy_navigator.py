@@ -74,11 +74,11 @@ def strapdown_block(
 
 
 def transition(nav: Array, sums: Array, swing: Array, density: Array, decay: Array, column: Rows, factor: Rows, Phi: Array, Qd: Array) -> None:
-    """As riins_federated.error_filter.transition, for states without a factor."""
+    """As riins_federated.error_filter.transition."""
     T, m = sums[12], ins_error.N_STATES + len(column)
     F = np.zeros((ins_error.N_STATES, ins_error.N_STATES))
     ins_error.fill_dynamics(F, nav[0], nav[2], nav[3:6], sums[0:3] / T, sums[3:12].reshape(3, 3) / T)
-    A = np.hstack([F[:9], F[:9, column]]) * T
+    A = np.hstack([F[:9] * T, F[:9, column] * np.append(T, swing)[factor]])
     kept = np.exp(-decay * T)
     square = A[:, :9] @ A
     square[:, 9:] -= A[:, 9:] * decay[9:m] * T
