@@ -67,7 +67,7 @@ def read_mapping(path: Path | None) -> dict[str, Any]:
 
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError) as error:  # also a date that is none
         raise typer.BadParameter(f"{path}: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
         raise typer.BadParameter(f"{path}: a mapping of sections is needed")

@@ -99,6 +99,10 @@ def test_options_that_are_no_text_are_bad_use(tmp_path, capsys):
     assert main(["import", "x.npz", "--out", str(tmp_path / "bag"), "--options", str(path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "binary.png" in error
+    path.write_text("name: 2020-13-45")
+    assert main(["import", "x.npz", "--out", str(tmp_path / "bag"), "--options", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "month must be in 1..12" in error
 
 
 def test_trying_a_target_leaves_nothing_and_takes_nothing(tmp_path, capsys):

@@ -192,9 +192,9 @@ def read_fault_list(given: str | Path | Sequence[Mapping[str, Any]] | None) -> l
         where = str(given)
         try:
             given = yaml.safe_load(Path(given).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise ImportFailure(f"{where}: cannot be read: {error.strerror if isinstance(error, OSError) else error}") from None
-        except yaml.YAMLError as error:
+        except OSError as error:
+            raise ImportFailure(f"{where}: cannot be read: {error.strerror}") from None
+        except (yaml.YAMLError, ValueError) as error:  # also bytes that are no text, a date that is none
             raise ImportFailure(f"{where}: {' '.join(str(error).split())}") from None
         if isinstance(given, Mapping) and set(given) == {"faults"}:
             given = given["faults"]

@@ -82,7 +82,7 @@ def read_configuration(reader: BagReader, overrides: Mapping[str, Any] | None = 
         fusion, navigator = content["fusion"], content["navigator"]
         build(FusionConfig, fusion, ("fusion",))
         build(NavigatorConfig, navigator, ("navigator",))
-    except (yaml.YAMLError, KeyError, SettingError, RecordError) as error:
+    except (yaml.YAMLError, KeyError, ValueError, RecordError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error).splitlines()[0]
         raise RecordError(f"/riins/configuration of {reader.path} cannot be read: {what}") from None
     over = dict(overrides or {})
