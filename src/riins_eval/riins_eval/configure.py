@@ -163,6 +163,10 @@ def fusion_config(scenario: Scenario) -> FusionConfig:
         "accel_sigma": [max(accel.white_sigma(dt), 1e-9)],
         "gyro_bias_sigma": math.hypot(gyro.constant, gyro.markov),
         "accel_bias_sigma": math.hypot(accel.constant, accel.markov),
+        "gyro_scale_ppm": imu.gyro.scale_ppm,
+        "accel_scale_ppm": imu.accel.scale_ppm,
+        "gyro_misalignment_arcmin": imu.gyro.misalignment_arcmin,
+        "accel_misalignment_arcmin": imu.accel.misalignment_arcmin,
         "gyro_limit": math.radians(imu.gyro_range_deg_s),
         "accel_limit": imu.accel_range_g * STANDARD_GRAVITY,
     }

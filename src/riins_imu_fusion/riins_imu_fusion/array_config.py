@@ -54,6 +54,10 @@ class ArrayConfig:
     accel_sigma: tuple[float, ...] = setting((1e-2,), "white noise of a specific force as it arrives, likewise", "m/s^2", 1e-12, 1000.0)
     gyro_bias_sigma: float = setting(5e-3, "ordinary turn-on bias of a gyro, which must not alarm", "rad/s", 0.0, 10.0)
     accel_bias_sigma: float = setting(0.1, "ordinary turn-on bias of an accelerometer, which must not alarm", "m/s^2", 0.0, 100.0)
+    gyro_scale_ppm: float = setting(0.0, "scale factor error of a gyro, 1 sigma, for the fault tests of imu_fusion", "ppm", 0.0, 1e5)
+    accel_scale_ppm: float = setting(0.0, "scale factor error of an accelerometer, likewise", "ppm", 0.0, 1e5)
+    gyro_misalignment_arcmin: float = setting(0.0, "tilt of a gyro's axis about each transverse axis, 1 sigma, likewise", "arcmin", 0.0, 600.0)
+    accel_misalignment_arcmin: float = setting(0.0, "tilt of an accelerometer's axis, likewise", "arcmin", 0.0, 600.0)
     max_wait_s: float = setting(0.05, "an IMU is waited for at most this long beyond the bridge, by stamps of the others", "s", 0.0, 10.0)
     bridge: float = setting(2.5, "interpolated across at most this many nominal intervals of an IMU", "", 1.5, 100.0)
     max_jump_s: float = setting(2.0, "when all stamps go back by more than this the run restarts", "s", 1e-3, 600.0)
@@ -132,6 +136,10 @@ class ArrayConfig:
             "accel_sigma": accel.tolist(),
             "gyro_bias_sigma": self.gyro_bias_sigma,
             "accel_bias_sigma": self.accel_bias_sigma,
+            "gyro_scale_ppm": self.gyro_scale_ppm,
+            "accel_scale_ppm": self.accel_scale_ppm,
+            "gyro_misalignment_arcmin": self.gyro_misalignment_arcmin,
+            "accel_misalignment_arcmin": self.accel_misalignment_arcmin,
         }
 
 

@@ -43,7 +43,10 @@ class Compensation:
         array, sigma = config.array(), config.sigma()
         bias = (config.gyro_bias_sigma, config.accel_bias_sigma)
         self._settings = config.glr
-        self._models = [TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz) for k in range(2)]
+        self._models = [
+            TriadModel(array, sigma[k], bias[k] or sigma[k], config.glr.walk * sigma[k], 1.0 / config.rate_hz, *config.motion_errors()[k])
+            for k in range(2)
+        ]
         self.change_noise(sigma)
         self.known = [KnownBias(rules) for rules in self.rules]
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from riins_core import imu_array
 from riins_core.frames import frd_to_flu
+from riins_core.sensor_errors import ARCMIN, PPM
 from riins_core.settings import SettingError, section, setting
 from riins_fdi.health import HealthConfig
 from riins_fdi.parity import MOST_RELATED, false_alarm_probability
@@ -70,6 +71,10 @@ class FusionConfig:
     accel_sigma: tuple[float, ...] = setting((1.3869e-3,), "white noise of one accelerometer sample, likewise", "m/s^2", 1e-12, 1000.0)
     gyro_bias_sigma: float = setting(0.0, "ordinary turn-on bias of a gyro, which must not alarm", "rad/s", 0.0, 10.0)
     accel_bias_sigma: float = setting(0.0, "ordinary turn-on bias of an accelerometer, which must not alarm", "m/s^2", 0.0, 100.0)
+    gyro_scale_ppm: float = setting(0.0, "scale factor error of a gyro, 1 sigma, which must not alarm when the vehicle turns", "ppm", 0.0, 1e5)
+    accel_scale_ppm: float = setting(0.0, "scale factor error of an accelerometer, 1 sigma, likewise when it accelerates", "ppm", 0.0, 1e5)
+    gyro_misalignment_arcmin: float = setting(0.0, "tilt of a gyro's axis about each transverse axis, 1 sigma, likewise", "arcmin", 0.0, 600.0)
+    accel_misalignment_arcmin: float = setting(0.0, "tilt of an accelerometer's axis, likewise", "arcmin", 0.0, 600.0)
     mean_time_between_false_alarms_h: float = setting(10.0, "of each triad, with one test a sample", "h", 1e-6, 1e9)
     false_alarm_probability: float = setting(0.0, "probability per sample and triad; 0: from the mean time between false alarms", "", 0.0, 0.5)
     health: SensorHealth = section(SensorHealth, "isolation, hold and probation of a sensor")
@@ -131,6 +136,11 @@ class FusionConfig:
     def total_sigma(self) -> NDArray[np.float64]:
         """Noise and ordinary bias together, (2, n): what the parity of healthy sensors is made of."""
         return np.hypot(self.sigma(), np.array([[self.gyro_bias_sigma], [self.accel_bias_sigma]]))
+
+    def motion_errors(self) -> NDArray[np.float64]:
+        """Standard deviations of scale factor and of the tilt of a sensing axis [rad], (2, 2): gyros, accelerometers."""
+        ppm, arcmin = (self.gyro_scale_ppm, self.accel_scale_ppm), (self.gyro_misalignment_arcmin, self.accel_misalignment_arcmin)
+        return np.stack([np.multiply(ppm, PPM), np.multiply(arcmin, ARCMIN)], axis=1)
 
     def drift_models(self) -> tuple[TriadModel, TriadModel]:
         """What opt, aopt and optdc know of the gyros and of the accelerometers beforehand."""

@@ -72,6 +72,8 @@ def make_rules(model: TriadModel, settings: GlrSettings) -> GlrRules:
         batch=batch,
         each=np.stack([model.R, model.P, model.Q, settings.floor**2 * model.R]),
         H=np.array(model.array.H),  # to be written, as any copy of it is: one type for the compiler
+        errors=np.array([model.scale**2, model.misalignment**2]),
+        moving=model.scale > 0.0 or model.misalignment > 0.0,
         common=_common(model),
         alarm=alarm_threshold(settings.mean_time_between_false_alarms_h, 1.0 / (batch * model.dt), model.array.n),
         sure=settings.sure,

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from riins_fdi.motion import error_variance
+
 from .glr_kf_resolve import OPENED, QUIET, resolve, take_in
 
 # isort: off
 from .glr_kf_state import (
-    ACTIVE, ALARM, ANEW, AT, BASE_COV, BASE_CROSS, BASE_SUM, BASE_TOTAL, BASE_X, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN,
-    CROSS, CROSS_THEN, DEAD, DOF, DONE, DOUBT, FILLED, FIRST, JUMP, KEPT, LEVEL, LOG, LONG, NOISE, NONE, NOTE, OPEN, OPENED_AT, OTHER_SET, PAID,
-    PRIOR2, SECOND, SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2, STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, TOTAL_THEN, USED, WALK, X_THEN, F,
-    GlrRules, GlrState, X,
+    ACTIVE, ALARM, ANEW, AT, BASED, BASE_COV, BASE_CROSS, BASE_LEARNED, BASE_SUM, BASE_TOTAL, BASE_X, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV,
+    COV_THEN, CROSS, CROSS_THEN, DEAD, DOF, DONE, DOUBT, EXPECTED, FILLED, FIRST, JUMP, KEPT, LEARNED, LEVEL, LOG, LONG, MOTION, NOISE, NONE,
+    NOTE, OPEN, OPENED_AT, OTHER_SET, PAID, PRIOR2, SECOND, SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2, STRANGE, STRIDE, SUM, SUM_THEN, TOTAL,
+    TOTAL_THEN, USED, WALK, X_THEN, F, GlrRules, GlrState, X,
 )  # fmt: skip
 # isort: on
 
@@ -88,6 +90,7 @@ def _begin_log(st: GlrState, level: int, slot: int) -> None:
     st.mat[BASE_CROSS] = st.r_mat[level, older, CROSS_THEN]
     st.vec[BASE_TOTAL] = st.r_vec[level, older, TOTAL_THEN]
     st.par[BASE_SUM] = st.r_par[level, older, SUM_THEN]
+    st.par[BASE_LEARNED] = st.r_par[level, older, EXPECTED]
     st.ints[DOUBT] = 1
     st.ints[SINCE] = st.ints[COUNT]
     st.ints[STRIDE] = 1
@@ -157,12 +160,13 @@ def _go_over(st: GlrState, rules: GlrRules, V: F, used: F, W: F, expected: F) ->
     if st.ints[DOUBT] == 1:  # those that leave may be its cause: what they have shown must not pass for biases of the others
         first, second = (*leaving.tolist()[:2], -1, -1)[:2]
         _suppose(st, rules, first, second, 0, 0)
+    motion = error_variance(rules.H, st.par[LEARNED, -MOTION:], *np.sqrt(rules.errors).tolist())
     for i in entering:
         st.vec[X, i] = 0.0 if first_time else expected[i]
         st.vec[TOTAL, i] = st.vec[PAID, i]
         st.mat[[COV, CROSS], i] = 0.0
         st.mat[[COV, CROSS], :, i] = 0.0
-        st.mat[COV, i, i] = rules.each[PRIOR2, i]
+        st.mat[COV, i, i] = rules.each[PRIOR2, i] + motion[i]
         st.vec[WALK, i] = rules.each[STEP2, i]
         st.whole[[STATE, DEAD], i] = CLOSED, 0
     st.vec[USED] = used

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import inner
+from riins_fdi.motion import SCALE2, TILT2, errors_at
 
 from .glr_kf_state import (
     ANEW,
@@ -20,8 +21,11 @@ from .glr_kf_state import (
     CROSS,
     CROSS_THEN,
     DOF,
+    ERROR2,
     EXPECTED,
     JUMP,
+    LEARNED,
+    MOTION,
     OPENED_AT,
     SLOTS,
     STATE,
@@ -86,12 +90,28 @@ def remember(st: GlrState, level: int) -> None:
         for i in range(n):
             a += st.V[r, i] * st.vec[X, i]
         st.r_par[level, s, EXPECTED, r] = a
+    for c in range(st.par.shape[1] - MOTION, st.par.shape[1]):
+        st.r_par[level, s, SUM_THEN, c] = st.par[SUM, c]
+        st.r_par[level, s, EXPECTED, c] = st.par[LEARNED, c]
     for i in range(n):
         st.r_vec[level, s, X_THEN, i] = st.vec[X, i]
         st.r_vec[level, s, TOTAL_THEN, i] = st.vec[TOTAL, i]
         for j in range(n):
             st.r_mat[level, s, COV_THEN, i, j] = st.mat[COV, i, j]
             st.r_mat[level, s, CROSS_THEN, i, j] = st.mat[CROSS, i, j]
+
+
+@inner
+def face(st: GlrState, rules: GlrRules, total: F, before: F, span: float, learned: F) -> None:
+    """st.vec[ERROR2] for the mean motion over `span` samples, from two sums of par's width, against that at which the biases were learned.
+
+    A bias is learned with what scale factor and mounting make of the motion at that time: only the difference counts, and it does not average out.
+    """
+    c = total.shape[0] - MOTION
+    errors_at(
+        rules.H, (total[c] - before[c]) / span - learned[c], (total[c + 1] - before[c + 1]) / span - learned[c + 1],
+        (total[c + 2] - before[c + 2]) / span - learned[c + 2], rules.errors[SCALE2], rules.errors[TILT2], st.vec[ERROR2],
+    )  # fmt: skip
 
 
 @inner

@@ -10,13 +10,13 @@ import numpy as np
 
 from riins_core.jit import inner, jit
 
-from .glr_kf_filter import absorb, begin_anew, remember, wander, whiten
+from .glr_kf_filter import absorb, begin_anew, face, remember, wander, whiten
 
 # isort: off
 from .glr_kf_state import (
-    ACTIVE, ALARM, ANEW, AT, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN, CROSS, DEAD, DOF, DONE, DOUBT, EXPECTED, FIRST, FLOOR2,
-    JUMP, LEVEL, LONG, NOISE, NONE, NOTE, OPEN, OTHER_SET, PAID, PARITY, REMOVED, RESOLVE, SIGMA2, SINCE, SLOT, SMALL_FOR, STATE, STEP2,
-    STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, USED, WALK, F, GlrRules, GlrState, I, X,
+    ACTIVE, ALARM, ANEW, AT, BASED, BEFORE, CALL, CHANGED, CLOSED, COUNT, COV, COV_THEN, CROSS, DEAD, DOF, DONE, DOUBT, ERROR2, EXPECTED, FIRST,
+    FLOOR2, JUMP, LEARNED, LEVEL, LONG, MOTION, NOISE, NONE, NOTE, OPEN, OTHER_SET, PAID, PARITY, REMOVED, RESOLVE, SIGMA2, SINCE, SLOT,
+    SMALL_FOR, STATE, STEP2, STRANGE, STRIDE, SUM, SUM_THEN, TOTAL, USED, WALK, WEIGHT, F, GlrRules, GlrState, I, X,
 )  # fmt: skip
 
 # isort: on
@@ -48,6 +48,8 @@ def test_windows(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> tupl
                 size += e * e
             if size * w <= least:
                 continue  # S is at least I/w: no statistic can be larger
+            if rules.moving:
+                face(st, rules, st.par[SUM], st.r_par[level, slot, SUM_THEN], w, st.r_par[level, slot, EXPECTED])
             for r in range(d):
                 for c in range(r + 1):
                     a = 1.0 / w if r == c else 0.0
@@ -55,7 +57,7 @@ def test_windows(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> tupl
                         b = 0.0
                         for j in range(n):
                             b += st.r_mat[level, slot, COV_THEN, i, j] * st.V[c, j]
-                        a += st.V[r, i] * (b + (wander(st, rules, i, now) * w / 3.0 + rules.each[FLOOR2, i]) * st.V[c, i])
+                        a += st.V[r, i] * (b + (wander(st, rules, i, now) * w / 3.0 + rules.each[FLOOR2, i] + st.vec[ERROR2, i]) * st.V[c, i])
                     S[r, c] = a
             if not whiten(st.V, d, nu, S, u, t):
                 continue
@@ -72,19 +74,25 @@ def test_windows(st: GlrState, rules: GlrRules, nu: F, S: F, u: F, t: F) -> tupl
 
 
 @inner
-def add(z: F, V: F, ints: I, par: F) -> None:
-    """Add the parity vector of a sample (n,)."""
+def add(z: F, moving: bool, V: F, W: F, ints: I, par: F) -> None:
+    """Add the parity vector of a sample (n,), and its motion where that counts."""
     for r in range(ints[DOF]):
         s = 0.0
         for i in range(z.shape[0]):
             s += V[r, i] * z[i]
         par[PARITY, r] = s
         par[SUM, r] += s
+    if moving:
+        for a in range(MOTION):
+            s = 0.0
+            for i in range(z.shape[0]):
+                s += W[a, i] * z[i]
+            par[SUM, par.shape[1] - MOTION + a] += s
     ints[COUNT] += 1
 
 
 @inner
-def add_only(z: F, used: F, batch: int, V: F, ints: I, vec: F, par: F) -> bool:
+def add_only(z: F, used: F, batch: int, moving: bool, V: F, W: F, ints: I, vec: F, par: F) -> bool:
     """A sample within a batch of a filter that removes nothing: it is added, and that is all. False: it is another one, and nothing was done.
 
     Most samples are of this kind, and to pass a whole state to `step` takes longer than to add one.
@@ -95,7 +103,7 @@ def add_only(z: F, used: F, batch: int, V: F, ints: I, vec: F, par: F) -> bool:
         if used[i] != vec[USED, i]:
             return False
     ints[STRANGE] = 0
-    add(z, V, ints, par)
+    add(z, moving, V, W, ints, par)
     return True
 
 
@@ -107,11 +115,33 @@ def step(z: F, st: GlrState, rules: GlrRules) -> None:
     """
     if st.ints[ANEW] == 1:
         begin_anew(st)
-    add(z, st.V, st.ints, st.par)
+    add(z, rules.moving, st.V, st.W, st.ints, st.par)
     if st.ints[COUNT] % rules.batch == 0:
         tick(st, rules)
     if st.ints[ACTIVE] == 1:
         remove(st, rules)
+
+
+@inner
+def learn_motion(st: GlrState, rules: GlrRules) -> None:
+    """Follow the motion at which the biases are learned: its mean with the gain of a healthy sensor's bias, which walks.
+
+    The first batch: scale factor and mounting have made their part of the ordinary biases, as large as they can at this motion.
+    """
+    c, w = st.par.shape[1] - MOTION, rules.batch
+    if st.par[LEARNED, WEIGHT] == 0.0:
+        face(st, rules, st.par[SUM], st.par[DONE], w, st.par[LEARNED])
+        for i in range(st.vec.shape[1]):
+            st.mat[COV, i, i] += st.vec[ERROR2, i]
+        gain = 1.0
+        st.par[LEARNED, WEIGHT] = 1.0 / w
+    else:
+        s = st.par[LEARNED, WEIGHT] + w * rules.each[STEP2, 0] / rules.each[SIGMA2, 0]
+        gain = s / (s + 1.0 / w)
+        st.par[LEARNED, WEIGHT] = (1.0 - gain) * s
+    for a in range(c, c + MOTION):
+        st.par[LEARNED, a] += gain * ((st.par[SUM, a] - st.par[DONE, a]) / w - st.par[LEARNED, a])
+        st.par[DONE, a] = st.par[SUM, a]
 
 
 @inner
@@ -130,6 +160,8 @@ def tick(st: GlrState, rules: GlrRules) -> None:
             st.mat[CROSS, i, j] += w * st.mat[COV, i, j]
     if st.ints[ACTIVE] == 1:
         watch(st, rules, nu)
+    if rules.moving:
+        learn_motion(st, rules)
     absorb(st.V, d, nu, 1.0 / w, st.vec[X], st.mat[COV], st.mat[CROSS], st.vec[TOTAL])
     beat = count // w
     if st.ints[ACTIVE] == 1:
@@ -170,10 +202,17 @@ def along(st: GlrState, i: int) -> tuple[float, float]:
 def watch(st: GlrState, rules: GlrRules, mean: F) -> None:
     """Running mean square of the open sensors' innovations along their own direction, 1 for white noise of the known size."""
     n, d = st.vec.shape[1], st.ints[DOF]
+    if rules.moving:
+        face(st, rules, st.par[SUM], st.par[DONE], rules.batch, st.par[LEARNED])
     for i in range(n):
         if st.whole[STATE, i] != OPEN or st.vec[USED, i] == 0.0:
             continue
         g, s = along(st, i)
+        for j in range(n):
+            a = 0.0
+            for r in range(d):
+                a += st.V[r, i] * st.V[r, j]
+            s += a * a * st.vec[ERROR2, j]
         a = 0.0
         for r in range(d):
             e = mean[r]

@@ -10,11 +10,12 @@ import numpy as np
 
 from riins_core.jit import inner, jit
 
-from .glr_kf_filter import absorb, wander, whiten
+from .glr_kf_filter import absorb, face, wander, whiten
 
 # isort: off
 from .glr_kf_state import (
-    BASE_COV, BASE_SUM, BASE_X, COUNT, COV, CROSS, DOF, FILLED, FLOOR2, OPEN, SIGMA2, STATE, SUM, TOTAL, F, GlrRules, GlrState, X,
+    BASE_COV, BASE_LEARNED, BASE_SUM, BASE_X, COUNT, COV, CROSS, DOF, ERROR2, FILLED, FLOOR2, LEARNED, OPEN, SIGMA2, STATE, SUM, TOTAL, WEIGHT,
+    F, GlrRules, GlrState, X,
 )  # fmt: skip
 # isort: on
 
@@ -79,19 +80,56 @@ def onset(k: int, G: int) -> int:
 
 
 @inner
-def best_two(b_i: F, b_j: F, a_i: F, a_j: F, vv: float, uu: float, gram: F, weight: F, w: float, K: int, same: bool) -> tuple[float, int, int]:
-    """Largest statistic of two drifts of any shapes, and the shapes; `same`: both of one sensor."""
-    top, top_k, top_j = -1.0, 0, 0
+def best_two(
+    b_i: F, b_j: F, a_i: F, a_j: F, vv: float, uu: float, blur_i: F, blur_j: F, gram: F, weight: F, w: float, K: int, same: bool
+) -> tuple[float, float, int, int]:  # fmt: skip
+    """Largest statistic of two drifts of any shapes, the same without what the motion blurs, and the shapes; `same`: both of one sensor."""
+    top, sharp, top_k, top_j = -1.0, -1.0, 0, 0
     for k in range(K):
         for j in range(k if same else K):
             c = vv * (gram[k, j] - weight[k] * weight[j] / w) + weight[k] * weight[j] / (w * w) * uu
             det = a_i[k] * a_j[j] - c * c
             if det <= 1e-6 * a_i[k] * a_j[j]:
                 continue
-            s = (b_i[k] * b_i[k] * a_j[j] - 2.0 * b_i[k] * b_j[j] * c + b_j[j] * b_j[j] * a_i[k]) / det
+            full = (b_i[k] * b_i[k] * a_j[j] - 2.0 * b_i[k] * b_j[j] * c + b_j[j] * b_j[j] * a_i[k]) / det
+            s = full
+            if blur_i[k] + blur_j[j] > 0.0:
+                f, g = (b_i[k] * a_j[j] - b_j[j] * c) / det, (b_j[j] * a_i[k] - b_i[k] * c) / det
+                p, q, m = a_j[j] / det + blur_i[k], a_i[k] / det + blur_j[j], -c / det
+                s = (f * f * q - 2.0 * f * g * m + g * g * p) / (p * q - m * m)
             if s > top:
-                top, top_k, top_j = s, k, j
-    return top, top_k, top_j
+                top, sharp, top_k, top_j = s, full, k, j
+    return top, sharp, top_k, top_j
+
+
+@inner
+def unsteady(st: GlrState, rules: GlrRules, K: int, weight: F, error: F) -> None:
+    """Variance that scale factor and mounting add to the size of each shape as one sensor's readings have it, in place in error (K, n).
+
+    The motion of an interval of the log makes an error of one sign while it lasts: what enters is the mean standard deviation over the shape, and
+    over what came before it as far as that says where the shape begins, beside all that was learned up to the base.
+    """
+    n, G, now = st.vec.shape[1], st.ints[FILLED], st.ints[COUNT]
+    span, size = np.zeros(G), np.zeros((G, n))
+    for g in range(G):
+        last = g + 1 == G
+        span[g] = float((now if last else st.log_at[g + 1]) - st.log_at[g])
+        if span[g] > 0.0:
+            face(st, rules, st.par[SUM] if last else st.log_sum[g + 1], st.log_sum[g], span[g], st.par[BASE_LEARNED])
+            for i in range(n):
+                size[g, i] = np.sqrt(st.vec[ERROR2, i])
+    known = 1.0 / max(st.par[LEARNED, WEIGHT], 1e-12)  # samples
+    for k in range(K):
+        first = onset(k, G)
+        length, earlier = float(now - st.log_at[first]), float(st.log_at[first] - st.log_at[0])
+        for i in range(n):
+            during, before = 0.0, 0.0
+            for g in range(first):
+                before += span[g] * size[g, i]
+            for g in range(first, G):
+                part = 1.0 if k < G else (st.log_at[g] - st.log_at[first] + 0.5 * span[g]) / length
+                during += part * span[g] * size[g, i]
+            error[k, i] = (during / max(weight[k], 1.0) + before / (earlier + known)) ** 2
 
 
 @jit
@@ -100,6 +138,7 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
 
     The common mean of the parity vector, of which the base says N(V x, V P V'), is eliminated; what is left of each hypothesis is one or two
     unknown sizes f with information A and A f = b, and the statistic b'A^-1 b. With S = V P V' + I/w, (M^-1 + w I)^-1 = I/w - S^-1/w^2.
+    Errors that grow with the motion do not average out: they add their variance to A^-1.
 
     Returns
     -------
@@ -130,6 +169,9 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
     rhs, info = np.zeros((n, K)), np.ones((n, K))
     vv, uu = np.zeros((n, n)), np.zeros((n, n))
     single, one, two = np.full(n, -1.0), np.zeros(n, np.int64), np.full(n, -1)
+    error, blur, sharp = np.zeros((K, n)), np.zeros((n, K)), np.full(n, -1.0)  # sharp: as `single`, without what the motion blurs
+    if rules.moving:
+        unsteady(st, rules, K, weight, error)
     best, value = -1, -1.0
     for i in range(n):
         for j in range(n):
@@ -138,6 +180,11 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
                 uu[i, j] += u[r, i] * u[r, j]
         if vv[i, i] <= 1e-12 / rules.each[SIGMA2, i]:
             continue
+        if rules.moving:
+            for k in range(K):
+                for j in range(n):
+                    blur[i, k] += vv[i, j] * vv[i, j] * error[k, j]
+                blur[i, k] /= vv[i, i] * vv[i, i]
         bonus = rules.bonus if st.whole[STATE, i] == OPEN else 0.0
         along = 0.0
         for r in range(d):
@@ -148,19 +195,19 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
                 b += st.V[r, i] * (mean[k, r] - weight[k] / w * nu[r])
             rhs[i, k] = b
             info[i, k] = vv[i, i] * (gram[k, k] - weight[k] * weight[k] / w) + weight[k] * weight[k] / (w * w) * uu[i, i]
-            s = b * b / info[i, k] + bonus
+            s = b * b / (info[i, k] + info[i, k] * info[i, k] * blur[i, k]) + bonus
             if s > single[i]:
-                single[i], one[i] = s, k
-        s, k, j = best_two(rhs[i], rhs[i], info[i], info[i], vv[i, i], uu[i, i], gram, weight, w, K, True)
+                single[i], one[i], sharp[i] = s, k, b * b / info[i, k] + bonus
+        s, full, k, j = best_two(rhs[i], rhs[i], info[i], info[i], vv[i, i], uu[i, i], blur[i], blur[i], gram, weight, w, K, True)
         if s + bonus - rules.twice > single[i]:
-            single[i], one[i], two[i] = s + bonus - rules.twice, k, j
+            single[i], one[i], two[i], sharp[i] = s + bonus - rules.twice, k, j, full + bonus - rules.twice
         if single[i] > value:
             best, value = i, single[i]
     if best < 0 or value < 0.5 * (rules.again if st.whole[STATE, best] == OPEN else rules.alarm):
         return QUIET, -1, -1, 0, 0
     if d < 2:
         return DOUBTFUL, -1, -1, 0, 0
-    runner, first, second, shape_first, shape_second, most, next_most = -1.0, -1, -1, 0, 0, -1.0, -1.0
+    runner, first, second, shape_first, shape_second, most, next_most, most_sharp = -1.0, -1, -1, 0, 0, -1.0, -1.0, -1.0
     for i in range(n):
         if single[i] < 0.0:
             continue
@@ -169,15 +216,16 @@ def resolve(st: GlrState, rules: GlrRules, S: F, u: F, t: F) -> tuple[int, int, 
         for j in range(i + 1, n):
             if d < 3 or single[j] < 0.0:
                 continue
-            s, k, q = best_two(rhs[i], rhs[j], info[i], info[j], vv[i, j], uu[i, j], gram, weight, w, K, False)
-            s += (rules.bonus if st.whole[STATE, i] == OPEN else 0.0) + (rules.bonus if st.whole[STATE, j] == OPEN else 0.0)
+            s, full, k, q = best_two(rhs[i], rhs[j], info[i], info[j], vv[i, j], uu[i, j], blur[i], blur[j], gram, weight, w, K, False)
+            bonus = (rules.bonus if st.whole[STATE, i] == OPEN else 0.0) + (rules.bonus if st.whole[STATE, j] == OPEN else 0.0)
+            s += bonus
             if s > most:
                 next_most = most
-                first, second, shape_first, shape_second, most = i, j, k, q, s
+                first, second, shape_first, shape_second, most, most_sharp = i, j, k, q, s, full + bonus
             elif s > next_most:
                 next_most = s
     # what the best one leaves of the scatter of the log, noise and misfit: differences count in units of it
-    left = -max(value, most)
+    left = -max(sharp[best], most_sharp)
     for r in range(d):
         left += t[r] * t[r] / (w * w) - nu[r] * nu[r] / w
         for g in range(G):

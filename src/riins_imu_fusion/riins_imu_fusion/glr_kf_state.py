@@ -30,16 +30,21 @@ NONE, ALARM, RESOLVE, OTHER_SET, NOTE = 0, 1, 2, 3, 4
 LOG = 24
 """Entries of the log of an alarm."""
 # rows of GlrState.vec
-X, TOTAL, PAID, WALK, JUMP, NOISE, REMOVED, USED, BASE_X, BASE_TOTAL, BEFORE = range(11)
+X, TOTAL, PAID, WALK, JUMP, NOISE, REMOVED, USED, BASE_X, BASE_TOTAL, BEFORE, ERROR2 = range(12)
 """bias and drift; its integral: sum over the samples, estimated; sum of what has been removed; variance of the step; drift found at the last opening;
 mean square of the residual along the sensor, 1 when all is well; removed from the last sample; 1: in the set of sensors;
-X and TOTAL at the base of the log; X before the sensor was opened"""
+X and TOTAL at the base of the log; X before the sensor was opened; variance that the motion in question adds to FLOOR2"""
 # matrices of GlrState.mat
 COV, CROSS, BASE_COV, BASE_CROSS = range(4)
 """covariance of X; covariance of the error of TOTAL with that of X; both at the base of the log"""
 # rows of GlrState.par
-PARITY, SUM, DONE, BASE_SUM = range(4)
-"""of the last sample; sum of all; of those worked in; at the base of the log"""
+PARITY, SUM, DONE, BASE_SUM, LEARNED, BASE_LEARNED = range(6)
+"""of the last sample; sum of all; of those worked in; at the base of the log. The last three columns: likewise of the least-squares solution, the
+motion, where errors that grow with it are in the model; only those: motion at which the biases were learned, now and at the base of the log"""
+MOTION = 3
+"""Columns of the motion."""
+WEIGHT = 0
+"""Column of par[LEARNED]: variance of the mean, in that of a sample's noise; 0: nothing is learned yet."""
 # rows of GlrState.whole
 STATE, OPENED_AT, SMALL_FOR, DEAD = range(4)
 CLOSED, OPEN = 0, 1
@@ -61,6 +66,8 @@ class GlrRules(NamedTuple):
     batch: int  # samples worked in at once: each is 1/batch of the filter's cost
     each: F  # (4, n)
     H: F  # (n, 3)
+    errors: F  # (2,), variances of scale factor and tilt, elements as in riins_fdi.motion
+    moving: bool  # not both are zero
     common: F  # (3, 3), covariance of the ordinary bias of the fused output, which no parity sees
     alarm: float  # threshold of a statistic with one degree of freedom
     sure: float  # below it nobody is opened for the first time: too little to tell one sensor from two
@@ -87,16 +94,16 @@ class GlrState(NamedTuple):
     ints: I
     V: F  # (d, n), parity matrix scaled to unit noise; rows beyond DOF and columns of sensors not used are zero
     W: F  # (3, n), estimator of the set of sensors
-    vec: F  # (11, n)
+    vec: F  # (12, n)
     mat: F  # (4, n, n)
-    par: F  # (4, d)
+    par: F  # (6, d + 3)
     whole: I  # (4, n)
     ring: I  # (L, 2 + SLOTS), of each level: next slot, slots kept, counts
-    r_par: F  # (L, SLOTS, 2, d)
+    r_par: F  # (L, SLOTS, 2, d + 3)
     r_vec: F  # (L, SLOTS, 2, n)
     r_mat: F  # (L, SLOTS, 2, n, n)
     log_at: I  # (LOG,), counts since an alarm; the first is that of the base
-    log_sum: F  # (LOG, d)
+    log_sum: F  # (LOG, d + 3)
     owed: F  # (3,), sum over the samples of what sensors that have left put into the fused output, still to be removed
 
     @property
@@ -122,16 +129,16 @@ def fresh(n: int, levels: int) -> GlrState:
         ints=np.zeros(INTS, np.int64),
         V=np.zeros((d, n)),
         W=np.zeros((3, n)),
-        vec=np.zeros((11, n)),
+        vec=np.zeros((12, n)),
         mat=np.zeros((4, n, n)),
-        par=np.zeros((4, d)),
+        par=np.zeros((6, d + MOTION)),
         whole=np.zeros((4, n), np.int64),
         ring=np.zeros((levels, 2 + SLOTS), np.int64),
-        r_par=np.zeros((levels, SLOTS, 2, d)),
+        r_par=np.zeros((levels, SLOTS, 2, d + MOTION)),
         r_vec=np.zeros((levels, SLOTS, 2, n)),
         r_mat=np.zeros((levels, SLOTS, 2, n, n)),
         log_at=np.zeros(LOG, np.int64),
-        log_sum=np.zeros((LOG, d)),
+        log_sum=np.zeros((LOG, d + MOTION)),
         owed=np.zeros(3),
     )
     state.vec[NOISE] = 1.0

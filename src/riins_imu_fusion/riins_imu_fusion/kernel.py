@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import inner, jit
+from riins_fdi.motion import errors_of, rows_in_motion, white_in_motion
+from riins_fdi.parity import parity_vector
 from riins_imu_fusion.corrections import GLR_KF, OPT, RFDC, add_excess, follow, known, learn, take_out
 from riins_imu_fusion.glr_kf_kernel import add_only
 from riins_imu_fusion.glr_kf_state import ACTIVE, LONG
@@ -17,7 +19,7 @@ from riins_imu_fusion.judges import DIRECT, GLT, SVD, blame_unit, compare, expla
 from riins_imu_fusion.noise_watch import OF, RUN, gather
 from riins_imu_fusion.samples import check_axes, judge_out, judge_used, note_past, note_sequence, remember, wake_up
 from riins_imu_fusion.sequences import NONE as NO_SEQUENCE
-from riins_imu_fusion.sequences import feed
+from riins_imu_fusion.sequences import feed, move
 
 # isort: off
 from riins_imu_fusion.state import (
@@ -139,18 +141,31 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     return k, o, need(st, kind, TEST, key[kind])
                 statistic[kind] = largest(tb.rows[kind, place], tested[kind])
                 loud = statistic[kind] > tb.level[kind, place]
+            unit_found = -1
+            if loud:
+                white, gain, rows = tb.whitened[kind, place], tb.gain[kind, place], tb.rows[kind, place]
+                pick = tb.pick[kind, place]
+                if rules.moving:  # with the errors that grow with the motion the statistic is never larger: a quiet sample needs none of this
+                    D = np.empty(n)
+                    errors_of(rules.H, w[kind, place], tested[kind], rules.errors[kind], D)
+                    white, gain = white_in_motion(dof, white, gain, D)
+                    if rules.test == GLT or rules.test == SVD:
+                        statistic[kind] = parity_vector(white, dof, tested[kind], np.empty(dof))
+                        loud = statistic[kind] > rules.threshold[dof]
+                    else:
+                        rows = rows_in_motion(rows, D)
+                        statistic[kind] = largest(rows, tested[kind])
+                        loud = statistic[kind] > tb.level[kind, place]
+                    if rules.test != SVD:
+                        pick = gain
             if loud:
                 alarm[kind], i, j, pointed[kind] = (
-                    compare(
-                        tb.rows[kind, place], tb.members[kind, place], tb.level[kind, place], dof, tb.whitened[kind, place],
-                        tb.gain[kind, place], tb.isolable[kind, place], tested[kind],
-                    )
+                    compare(rows, tb.members[kind, place], tb.level[kind, place], dof, white, gain, tb.isolable[kind, place], tested[kind])
                     if rules.test == DIRECT
-                    else resolve(
-                        dof, tb.whitened[kind, place], tb.gain[kind, place], tb.pick[kind, place], tb.isolable[kind, place], tested[kind],
-                        rules.threshold,
-                    )
-                )  # fmt: skip
+                    else resolve(dof, white, gain, pick, tb.isolable[kind, place], tested[kind], rules.threshold)
+                )
+                if rules.grouped and (j >= 0 or alarm[kind] == UNRESOLVED):
+                    unit_found = blame_unit(dof, white, tested[kind], rules.group, rules.threshold)
             elif rules.sequential == NO_SEQUENCE:
                 continue
             else:
@@ -158,17 +173,17 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                     if key[kind] != in_use(kind, base):
                         continue  # an axis is missing for the moment
                     return k, o, need(st, kind, SEQUENCES, key[kind])
+                if rules.moving:
+                    move(kind, t, rules.sequential, rules.H, w[kind, place], rules.errors[kind], tb.V[kind, place], dof, tested[kind], st.sequence)
                 if not feed(kind, t, rules.sequential, tb.V[kind, place], dof, tested[kind], st.sequence):
                     continue
                 alarm[kind], i, j, pointed[kind] = explain_parity(
                     dof, st.sequence.p[kind], tb.V[kind, place], tb.isolable[kind, place], rules.threshold
                 )
             rest = without(key[kind], i, j)
-            if rules.grouped and loud and (j >= 0 or alarm[kind] == UNRESOLVED):
-                number = blame_unit(dof, tb.whitened[kind, place], tested[kind], rules.group, rules.threshold)
-                if number >= 0:
-                    alarm[kind] = RESOLVED
-                    rest = key[kind] & ~unit(rules.group, number)
+            if unit_found >= 0:
+                alarm[kind] = RESOLVED
+                rest = key[kind] & ~unit(rules.group, unit_found)
             if rest == key[kind]:
                 continue
             place = find_slot(kind, tb.key, tb.filled, rest, 0)
@@ -206,7 +221,9 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 elif rules.fusion == GLR_KF:
                     glr, first = st.glr[kind], slot[kind]  # the filter learns only where nobody was left out: then both slots are one
                     simple = alarm[kind] == QUIET and dofs[kind, first] > 0
-                    if simple and add_only(z[kind], tb.member[kind, first], rules.glr[kind].batch, glr.V, glr.ints, glr.vec, glr.par):
+                    if simple and add_only(
+                        z[kind], tb.member[kind, first], rules.glr[kind].batch, rules.glr[kind].moving, glr.V, glr.W, glr.ints, glr.vec, glr.par
+                    ):  # fmt: skip
                         pass
                     elif learn(
                         kind, alarm[kind], dofs[kind, first], tb.member[kind, first], z, glr, rules.glr[kind], clean,
@@ -230,7 +247,7 @@ def fuse_samples(k: int, o: int, block: Block, output: Output, tb: Tables, rules
                 if alarm[kind] != QUIET or used[kind] != calm[kind]:  # else all in use are healthy, nobody is out on trial, and all is well
                     judge_used(kind, alarm[kind], leave, base, why, st.left_out, verdict)
                     if alarm[kind] != UNRESOLVED:
-                        judge_out(kind, place, t, rules, st.judged, wake, z, x, tb.reach, st.mean_sum, st.mean_count, why, verdict)
+                        judge_out(kind, place, t, rules, st.judged, wake, z, x, w[kind, place], tb.reach, st.mean_sum, st.mean_count, why, verdict)
                     if wake_up(kind, t, wake, verdict, wakes):
                         code |= EVENT
                 if alarm[kind] == UNRESOLVED:

@@ -36,6 +36,7 @@ class TriadModel:
     drift : likewise, standard deviation of the drift before the first sample (root of the diagonal of P), U
     walk : likewise, standard deviation of the drift's step before each sample (root of the diagonal of Q), U
     dt : sample interval, s
+    scale, misalignment : standard deviation of scale factor and of the tilt of a sensing axis about each transverse axis, rad; glr_kf asks for them
 
     Raises
     ------
@@ -48,6 +49,8 @@ class TriadModel:
     drift: ArrayLike = 0.0
     walk: ArrayLike = 0.0
     dt: float = 0.01
+    scale: float = 0.0
+    misalignment: float = 0.0
     R: Array = field(init=False)
     P: Array = field(init=False)
     Q: Array = field(init=False)

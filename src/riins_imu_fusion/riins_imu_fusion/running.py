@@ -78,6 +78,8 @@ class Methods:
             glr=self.compensation.rules,
             drift=self.drifts.numbers,
             noise=self.watch.window_ns > 0,
+            moving=bool(config.motion_errors().any()),
+            errors=config.motion_errors() ** 2,
         )
         self._select(Selection(config.method, config.parity_test, config.sequential_test, config.adapt_noise))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from riins_core.jit import inner, jit
+from riins_fdi.motion import SCALE2, TILT2, errors_at
 
 # isort: off
 from riins_imu_fusion.state import (
@@ -77,10 +78,24 @@ def judge_used(kind: int, alarm: int, leave: U, base: B, why: I, left_out: I, ve
 
 
 @inner
+def residual_error(i: int, H: F, W: F, x: F, errors: F) -> float:
+    """Variance that scale factor and mounting errors add to the residual of sensor i against the estimator W (3, n) of others, at x (3,)."""
+    D = np.empty(H.shape[0])
+    errors_at(H, x[0], x[1], x[2], errors[SCALE2], errors[TILT2], D)
+    total = D[i]
+    for j in range(H.shape[0]):
+        a = 0.0
+        for c in range(3):
+            a += H[i, c] * W[c, j]
+        total += a * a * D[j]
+    return float(total)
+
+
+@inner
 def judge_out(
-    kind: int, slot: int, t: int, rules: Rules, judged: B, wake: I, z: F, x: F, reach: F, mean_sum: F, mean_count: I, why: I, verdict: I
+    kind: int, slot: int, t: int, rules: Rules, judged: B, wake: I, z: F, x: F, W: F, reach: F, mean_sum: F, mean_count: I, why: I, verdict: I
 ) -> None:
-    """Verdict on the sensors that are out and on the way back: their residual against those in use."""
+    """Verdict on the sensors that are out and on the way back: their residual against those in use, whose estimator is W (3, n)."""
     for i in range(judged.shape[1]):
         if not judged[kind, i] or (t < wake[0, kind, i] and t < wake[1, kind, i]):
             continue
@@ -91,6 +106,8 @@ def judge_out(
         for a in range(3):
             r -= rules.H[i, a] * x[kind, a]
         scale = reach[kind, slot, i]
+        if rules.moving:
+            scale = 1.0 / (1.0 / scale + residual_error(i, rules.H, W, x[kind], rules.errors[kind]))
         mean_sum[kind, i] += r * np.sqrt(scale)
         mean_count[kind, i] += 1
         if r * r * scale <= rules.judge_threshold:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from riins_core.jit import inner
 from riins_core.settings import setting
+from riins_fdi.motion import errors_of
 from riins_fdi.parity import ParityTest
 from riins_fdi.run_length import cusum_threshold, glr_threshold, window_lengths
 
@@ -37,8 +38,9 @@ FED, COUNT, ALARM, WIDTH, WHO = range(5)
 """stamp of the last sample fed; samples since the beginning; 1: the last sample alarmed; samples since the likeliest onset; the sensor"""
 INTS = 5
 # rows of SequenceState.vec
-BIAS2, UP, DOWN = 0, 1, 2
-"""variance of the mean of u_i'p that ordinary biases give; sums of the charts for positive and negative faults"""
+BIAS2, UP, DOWN, STILL2, PEAK2 = 0, 1, 2, 3, 4
+"""variance of the mean of u_i'p that ordinary biases give, and errors that grow with the motion; sums of the charts for positive and negative
+faults; the former part of the variance; the latter"""
 # elements of SequenceState.level
 THRESHOLD, REFERENCE = 0, 1
 
@@ -56,12 +58,35 @@ class SequenceState(NamedTuple):
 
     key: U  # (2,), 0: none yet
     ints: I  # (2, INTS + 2 n)
-    vec: F  # (2, 3, n)
+    vec: F  # (2, 5, n)
     level: F  # (2, 2)
     u: F  # (2, n, d), unit columns of the parity matrix in white noise of unit variance
     sums: F  # (2, W + 1, d), ring of running sums (GLR); (2, 2 n, d), sums since each chart was zero (CUSUM)
     p: F  # (2, d), parity vector of an alarm, scaled to the noise of one sample
     lengths: I  # (l,), window lengths
+
+
+@inner
+def move(kind: int, t: int, test: int, H: F, W: F, errors: F, white: F, dof: int, z: F, st: SequenceState) -> None:
+    """Before `feed`: let the variance of the mean follow the motion of the sample, H (n, 3), W (3, n), errors as in riins_fdi.motion.
+
+    What the GLR holds of an earlier motion counts on, less by e^-2 for a longest window: the mean over a window holds no more of it.
+    """
+    if st.ints[kind, FED] == t:
+        return
+    n, longest = z.shape[0], st.lengths[st.lengths.shape[0] - 1]
+    keep = np.exp(-2.0 / longest) if test == GLR else 0.0
+    D = np.empty(n)
+    errors_of(H, W, z, errors, D)
+    for i in range(n):
+        a = 0.0
+        for j in range(n):
+            b = 0.0
+            for r in range(dof):
+                b += st.u[kind, i, r] * white[r, j]
+            a += b * b * D[j]
+        st.vec[kind, PEAK2, i] = max(a, keep * st.vec[kind, PEAK2, i])
+        st.vec[kind, BIAS2, i] = st.vec[kind, STILL2, i] + st.vec[kind, PEAK2, i]
 
 
 @inner
@@ -182,7 +207,7 @@ class Sequences:
         return SequenceState(
             key=np.zeros(2, np.uint64),
             ints=ints,
-            vec=np.zeros((2, 3, n)),
+            vec=np.zeros((2, 5, n)),
             level=np.full((2, 2), math.inf),
             u=np.zeros((2, n, d)),
             sums=np.zeros((2, rows, d)),
@@ -214,7 +239,7 @@ class Sequences:
         checked = parity.gain > 0.0
         u = np.where(checked[:, None], white.T / np.where(checked, length, 1.0)[:, None], 0.0)
         state.u[kind, :, : parity.dof] = u
-        state.vec[kind, BIAS2] = np.sum((u @ white) ** 2, axis=1) * bias_sigma**2
+        state.vec[kind, (BIAS2, STILL2)] = np.sum((u @ white) ** 2, axis=1) * bias_sigma**2
         reference = 0.5 * self._settings.shift
         if test == CUSUM:
             state.level[kind] = cusum_threshold(self._epochs, reference, 2 * int(np.count_nonzero(checked))), reference

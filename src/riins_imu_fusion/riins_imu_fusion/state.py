@@ -97,6 +97,8 @@ class Rules(NamedTuple):
     glr: tuple[GlrRules, GlrRules]
     drift: F  # (4,), of opt, aopt and optdc
     noise: bool  # the noise is estimated
+    moving: bool  # scale factor and mounting errors are in the tests
+    errors: F  # (2, 2), their variances, elements as in riins_fdi.motion
 
 
 class Tables(NamedTuple):
