@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,3 +26,11 @@ def pytest_configure(config: pytest.Config) -> None:
 def root() -> Path:
     """The workspace."""
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The live run of live_ship.py."""
+    from live_ship import observe
+
+    return observe(tmp_path_factory.mktemp("live"))

@@ -75,7 +75,7 @@ def short_scenario(directory: Path, **changes: str) -> Path:
 
 
 class Listener:
-    """A node of another stack that keeps every message of some topics, with the time the middleware received it.
+    """A node of another stack that keeps every message of some topics.
 
     Parameters
     ----------
@@ -88,10 +88,9 @@ class Listener:
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node("another_stack", context=self._context)
         self.messages: dict[str, list[Any]] = {topic: [] for topic in topics}
-        self.arrivals: dict[str, list[int]] = {topic: [] for topic in topics}
         for topic, kind in topics.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic in latched else DurabilityPolicy.VOLATILE
-            self.node.create_subscription(kind, topic, self._keeper(topic), QoSProfile(depth=4000, durability=durability))
+            self.node.create_subscription(kind, topic, self.messages[topic].append, QoSProfile(depth=4000, durability=durability))
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -104,13 +103,6 @@ class Listener:
         self._context.try_shutdown()
         self._thread.join(5.0)
         self.node.destroy_node()
-
-    def _keeper(self, topic: str) -> Callable[[Any, dict[str, Any]], None]:
-        def keep(message: Any, info: dict[str, Any]) -> None:
-            self.arrivals[topic].append(info["received_timestamp"])
-            self.messages[topic].append(message)
-
-        return keep
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):

@@ -1,7 +1,7 @@
 """The recordings in bags/ can be navigated and scored alone, by the code as it is.
 
 Lives here: every bag of bags/ once through `navigate` and `score`, and its message definitions.
-Does not live here: what a bag must hold (riins_bag), replay through the live graph (test_graph_live.py).
+Does not live here: what a bag must hold (riins_bag), replay through the live graph (test_graph_law_2.py).
 """
 
 from __future__ import annotations

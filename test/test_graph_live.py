@@ -1,137 +1,24 @@
-"""The graph as another stack sees it, over one live run of a short scenario that many tests share; laws 1 and 2 on its recording.
+"""The graph as another stack sees it, over one live run of a short scenario.
 
-Lives here: topics, types, frames, rates, QoS, covariances, diagnostics, fault isolation, the example node, live = offline = replay.
-Does not live here: dying nodes (test_graph_losses.py), bad input (test_graph_bad_input.py).
+Lives here: topics, types, frames, rates, QoS, covariances, diagnostics, fault isolation, the bridge, the example node.
+Does not live here: the run itself (live_ship.py), live = offline = replay (test_graph_law_2.py), dying nodes (test_graph_losses.py), bad input.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pynmea2
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import TwistWithCovarianceStamped
-from harness import Bridge, Listener, by_stamp, ns, own_domain, settled_distance, short_scenario, wait_until
-from nav_msgs.msg import Odometry
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness import ns
+from live_ship import DURATION, EXAMPLE, LATCHED, TOPICS
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
-from std_msgs.msg import String
+from sensor_msgs.msg import NavSatFix, NavSatStatus
 
-from riins_bag.bag import BagReader, BagWriter
-from riins_bag.recording import RAW_TOPICS, selected
-from riins_bringup.graph import GraphSettings, build_graph
-from riins_bringup.live import LiveRun
-from riins_eval import offline
-from riins_msgs.msg import (
-    FaultArray,
-    FederatedStatus,
-    FusedImu,
-    InertialFdi,
-    InitialState,
-    Innovation,
-    NavCovariance,
-    NavState,
-    RedundantImu,
-    SubfilterStatus,
-    TriadFdi,
-    VesselMotion,
-)
-from riins_node import fields
-
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples/other_stack/navigation_display.py"
-DURATION = 15.5  # the last aids come half a second before the last IMU sample: all are judged
-TOPICS: dict[str, tuple[type, float, str]] = {
-    "/rimu/raw": (RedundantImu, 100.0, "imu_link"),
-    "/imu/fused": (FusedImu, 100.0, "imu_link"),
-    "/imu/data_raw": (Imu, 100.0, "imu_link"),
-    "/imu/data": (Imu, 100.0, "base_link"),
-    "/fdi/status": (InertialFdi, 10.0, "imu_link"),
-    "/gps/fix": (NavSatFix, 1.0, "gps_link"),
-    "/gps/velocity": (TwistWithCovarianceStamped, 1.0, "map"),
-    "/bds/fix": (NavSatFix, 1.0, "bds_link"),
-    "/bds/velocity": (TwistWithCovarianceStamped, 1.0, "map"),
-    "/doppler/velocity": (TwistWithCovarianceStamped, 1.0, "doppler_link"),
-    "/nav/state": (NavState, 100.0, "map_ned"),
-    "/nav/motion": (VesselMotion, 100.0, "map_ned"),
-    "/nav/settled": (NavState, 1.0, "map_ned"),
-    "/nav/covariance": (NavCovariance, 1.0, "map_ned"),
-    "/nav/innovations": (Innovation, 3.0, ""),
-    "/nav/odometry": (Odometry, 20.0, "map"),
-    "/nav/fix": (NavSatFix, 20.0, "base_link"),
-    "/nav/subfilters": (FederatedStatus, 1.0, ""),
-    "/truth/state": (NavState, 10.0, "map_ned"),
-    "/truth/odometry": (Odometry, 10.0, "map"),
-}
-LATCHED = {
-    "/nav/initial_state": InitialState,
-    "/nav/origin": NavSatFix,
-    "/truth/faults": FaultArray,
-    "/riins/configuration": String,
-    "/fdi/status": InertialFdi,
-    "/nav/subfilters": FederatedStatus,
-}
-
-
-@dataclass
-class Observed:
-    """One finished run."""
-
-    bag: Path
-    messages: dict[str, list[Any]]
-    arrivals: dict[str, list[int]]
-    late: dict[str, list[Any]]
-    qos: dict[str, list[Any]]
-    summary: dict[str, Any]
-    statuses: dict[str, int]
-    example: tuple[int | None, str]
-    start_ns: int
-    bridge: list[str] = field(default_factory=list)
-    extra: dict[str, Any] = field(default_factory=dict)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Live run of the short scenario, recorded, with a listener from the start, one that joins late, and the example node."""
-    directory = tmp_path_factory.mktemp("live")
-    with own_domain(directory):
-        bridge = Bridge()
-        nmea = f"udp://127.0.0.1:{bridge.port}"
-        graph = build_graph(GraphSettings(scenario=str(short_scenario(directory)), record=str(directory / "bag"), nmea=nmea))
-        topics = {name: kind for name, (kind, _, _) in TOPICS.items()} | {"/diagnostics": DiagnosticArray}
-        plain = {k: v for k, v in os.environ.items() if k not in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-        example = subprocess.Popen(
-            [sys.executable, str(EXAMPLE), "--ros-args", "-p", "lines:=3"], env=plain, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        try:
-            with Listener(topics) as listener, LiveRun(graph, directory / "logs") as live:
-                live.start()
-                wait_until(lambda: len(listener.messages["/nav/state"]) > 900, 60.0, "nine seconds of navigation")
-                with Listener(LATCHED, latched=tuple(LATCHED)) as joiner:
-                    expected = set(LATCHED) - {"/riins/configuration"}  # that one is in the bag, nobody publishes it live
-                    wait_until(lambda: all(joiner.messages[t] for t in expected), 10.0, "latched messages")
-                    wait_until(lambda: len(joiner.messages["/truth/faults"]) == 4, 10.0, "the faults of rimu, gps, bds and doppler")
-                    late = {topic: list(messages) for topic, messages in joiner.messages.items()}
-                qos = {topic: listener.publishers(topic) for topic in [*topics, *LATCHED]}
-                wait_until(lambda: live.finished() or live.dead(), 60.0, "the end of the scenario")
-                assert live.dead() is None, live.dead()
-                start_ns = live.graph.start_at_ns
-                statuses = live.processes.stop()
-                summary = live.monitor.summary()
-            output = example.communicate(timeout=10.0)[0]
-        finally:
-            example.kill()
-            bridge.close()
-        ended = (example.returncode, output)
-        yield Observed(directory / "bag", listener.messages, listener.arrivals, late, qos, summary, statuses, ended, start_ns, bridge.heard)
+from riins_msgs.msg import NavState, SubfilterStatus, TriadFdi
 
 
 def test_every_node_ends_with_status_0(run):
@@ -354,100 +241,3 @@ def test_node_of_another_stack_understands_the_graph(run):
     assert latitude == pytest.approx(54.4, abs=0.01) and longitude == pytest.approx(10.2, abs=0.01)
     assert "heading 3" in lines[0] and "kn" in lines[0]
     assert "riins" not in EXAMPLE.read_text().split('"""', 2)[2]
-
-
-# ---- law 2: live equals offline equals replay ----
-
-
-@pytest.fixture(scope="module")
-def offline_bag(run):
-    """What the offline engine makes of the live recording."""
-    out = run.bag.with_name("offline")
-    offline.navigate(run.bag, out, record="nav")
-    return out
-
-
-def assert_law_2(settled: dict[int, Any], reference: dict[int, Any]) -> None:
-    """Every settled state is there, within 1e-9; the offline engine alone settles what no later sample could change any more."""
-    assert len(settled) >= 12 and set(settled) <= set(reference)
-    assert max(settled_distance(settled[stamp], reference[stamp]) for stamp in settled) <= 1e-9
-
-
-def decisions(statuses: list[Any], until_ns: int) -> list[tuple[int, int, int, int]]:
-    """Every state of health of every gyro and accelerometer with its beginning, in order."""
-    seen: list[tuple[int, int, int, int]] = []
-    for message in statuses:
-        for kind, triad in enumerate((message.gyro, message.accel)):
-            for i, state in enumerate(triad.state):
-                entry = (ns(triad.since[i]), kind, i, int(state))
-                if entry not in seen and entry[0] <= until_ns:
-                    seen.append(entry)
-    return sorted(seen)
-
-
-def settled_events(statuses: Iterable[Any], until_ns: int) -> set[tuple[int, int, str, int, int]]:
-    """What the navigator told as settled up to a stamp."""
-    events = [e for message in statuses for e in message.events]
-    return {(ns(e.stamp), int(e.kind), e.target, int(e.state), int(e.reason)) for e in events if ns(e.stamp) <= until_ns}
-
-
-def test_live_equals_offline(run, offline_bag):
-    settled = {ns(m.header.stamp): m for m in run.messages["/nav/settled"]}
-    assert by_stamp(run.bag, "/nav/settled").keys() == settled.keys()
-    assert_law_2(settled, by_stamp(offline_bag, "/nav/settled"))
-    until = max(settled)
-    recorded = list(by_stamp(offline_bag, "/fdi/status").values())
-    assert decisions(run.messages["/fdi/status"], until) == decisions(recorded, until)
-    told = settled_events(run.messages["/nav/subfilters"], until)
-    with BagReader(offline_bag) as reader:
-        assert told == settled_events([m for _, _, m in reader.read(["/nav/subfilters"])], until)
-    assert {(target, state) for _, _, target, state, _ in told} >= {("gps", SubfilterStatus.ISOLATED), ("", 0)}
-
-
-def test_live_counters_equal_offline(run, offline_bag):
-    live = {s.name: (s.accepted, s.rejected, s.late, s.malformed) for s in run.messages["/nav/subfilters"][-1].subfilters}
-    with_offline = list(by_stamp(offline_bag, "/nav/subfilters").values())[-1]
-    assert live == {s.name: (s.accepted, s.rejected, s.late, s.malformed) for s in with_offline.subfilters}
-
-
-def told(source: Path, out: Path, start_ns: int) -> None:
-    """The raw topics of a recording as one made in a namespace, with commands that came behind the stamps from which they hold."""
-    commands = [("gyro_5", False, 0), ("bds", False, 4.0), ("accel_1", False, 5.005), ("bds", True, 8.0), ("gyro_5", True, 9.0)]
-    with BagReader(source) as reader, BagWriter(out, flush_period_s=0.0) as writer:
-        for topic, msgtype, data, log_ns in reader.messages([t for t in reader.topics if selected(t, RAW_TOPICS)]):
-            name = topic if topic == "/riins/configuration" else f"/fleet/ship2{topic}"
-            writer.write(name, msgtype, data, log_ns, reader.qos(topic) or "navigation")
-        for target, use, at_s in commands:
-            stamp = start_ns + round(at_s * 1e9) if at_s else 0
-            content = fields.sensor_use(stamp, target, use)
-            writer.write_message("/fleet/ship2/nav/commands", "riins_msgs/msg/SensorUse", content, (stamp or start_ns) + 50_000_000, "commands")
-
-
-@pytest.mark.parametrize(("rate", "namespace", "commanded"), [(1.0, "ship1", False), (3.0, "", True)])
-def test_replay_equals_offline(run, offline_bag, rate, namespace, commanded, tmp_path):
-    """At the recorded pace, in a namespace, and at three times the pace a recording of another namespace, with commands."""
-    prefix, bag = f"/{namespace}" if namespace else "", run.bag
-    if commanded:
-        bag, offline_bag = tmp_path / "told", tmp_path / "offline"
-        told(run.bag, bag, run.start_ns)
-        offline.navigate(bag, offline_bag, record="nav")
-    with own_domain(tmp_path):
-        graph = build_graph(GraphSettings(bag=str(bag), rate=rate, namespace=namespace))
-        topics = {f"{prefix}/nav/settled": NavState, f"{prefix}/fdi/status": InertialFdi, f"{prefix}/nav/subfilters": FederatedStatus}
-        with Listener(topics) as listener, LiveRun(graph, tmp_path / "logs") as live:
-            live.start()
-            wait_until(lambda: live.finished() or live.dead(), 60.0, "the end of the bag")
-            assert live.dead() is None, live.dead()
-            assert live.processes.stop() == {"imu_fusion": 0, "navigator": 0, "player": 0}
-    last = listener.last(f"{prefix}/nav/subfilters")
-    assert (last.imu_lost, last.restarts, sum(s.late for s in last.subfilters)) == (0, 0, 0), "not comparable"
-    settled = {ns(m.header.stamp): m for m in listener.messages[f"{prefix}/nav/settled"]}
-    assert_law_2(settled, by_stamp(offline_bag, "/nav/settled"))
-    until = max(settled)
-    recorded = decisions(list(by_stamp(offline_bag, "/fdi/status").values()), until)
-    assert decisions(listener.messages[f"{prefix}/fdi/status"], until) == recorded
-    if commanded:
-        excluded = {(kind, i) for _, kind, i, state in recorded if state == TriadFdi.EXCLUDED}
-        assert excluded == {(0, 5), (1, 1)}
-        health = {s.state for m in listener.messages[f"{prefix}/nav/subfilters"] for s in m.subfilters if s.name == "bds"}
-        assert SubfilterStatus.EXCLUDED in health
