@@ -124,6 +124,7 @@ def system_test(*options: str) -> Sum:
         number = {name: int(suite.get(name, "0")) for name in ("tests", "errors", "failures", "skipped")}
         one.add(number["tests"], number["errors"] + number["failures"], number["skipped"])
     if status and not one.failed:
+        print(f"pytest ended with status {status}")
         one.failed = 1
     return one
 

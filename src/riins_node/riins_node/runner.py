@@ -159,7 +159,11 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
             executor.shutdown(timeout_sec=1.0)
         if node is not None:
             node.destroy_node()
-        rclpy.try_shutdown()
+        try:
+            rclpy.try_shutdown()
+        except RuntimeError:  # RCLError: between its look and its call the thread of a signal was quicker
+            if rclpy.ok():
+                raise
 
 
 def _one_line(error: Exception) -> str:
