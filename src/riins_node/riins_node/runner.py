@@ -19,6 +19,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import uninstall_signal_handlers
 
 from riins_core.settings import SettingError
 from riins_node import entry
@@ -153,8 +154,9 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
         bad_use = not initialised or type(error).__name__ == "UnknownROSArgsError" or "QoS override" in str(error)
         return _report(name, error, BAD_USE if bad_use else FAILED)
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        _ignore_signals()
+        uninstall_signal_handlers()  # waits for the thread that shuts the context down after a signal: a node destroyed meanwhile may crash
+        _ignore_signals()
         if executor is not None:
             executor.shutdown(timeout_sec=1.0)
         if node is not None:
@@ -164,6 +166,11 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, name: st
         except RuntimeError:  # RCLError: between its look and its call the thread of a signal was quicker
             if rclpy.ok():
                 raise
+
+
+def _ignore_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _one_line(error: Exception) -> str:
